@@ -19,13 +19,16 @@
 //! nor underflow. Within a moderate range the power is 1, and results are bitwise those of plain
 //! numbers.
 
+mod cost_gradient;
 mod exponents;
 mod given;
 mod measure;
 mod policy;
 mod recursion;
 mod restart;
+mod reverse_step;
 mod starts;
+mod state;
 mod step_back;
 
 use crate::engine::any::AnyTask;
@@ -39,7 +42,7 @@ use crate::policy::AnyPolicy;
 use crate::policy::{PolicyPass, Weights};
 use given::Given;
 use policy::{PolicyAdjoint, PolicyBufferSizes, nested_bytes};
-use recursion::Recursion;
+use state::Recursion;
 use std::ops::Range;
 pub use step_back::StepBack;
 

@@ -3,7 +3,8 @@
 //!
 //! - `rollout.rs`: forward pass of a task under a policy. Read this file first.
 //! - `adjoint.rs`: reverse pass for one or two flows (`flow.rs`) of one forward pass.
-//!   `adjoint/recursion.rs` contains the recursion. `pass.rs` has the arguments of both passes.
+//!   `adjoint/reverse_step.rs` is the physics of one step,
+//!   `adjoint/recursion.rs` the loop. `pass.rs` has the arguments of both passes.
 //! - `initial_states.rs`: initial states, drawn by a task from seeded streams.
 //! - `observe.rs`: observations of all samples.
 //! - [`Schedule`], [`Checkpointed`]: recomputation of steps from checkpoints.
@@ -11,7 +12,9 @@
 //! - `gradient.rs`, [`Growth`], `divergence.rs`: results and errors of the passes.
 //! - [`rows`]: steps and costs of many samples as arrays, outside of rollouts. [`open_loop`]:
 //!   rollouts with given controls.
-//! - [`any`]: object-safe tasks and systems.
+//! - [`any`]: object-safe tasks and systems. They contain the vectorized steps of both passes, whose
+//!   workspaces name them in turn, so `any`, `pass`, `rollout` and `adjoint` form a circle, the only
+//!   one.
 //!
 //! Imports `numbers`, `dynamics` and `policy`, but no concrete task.
 

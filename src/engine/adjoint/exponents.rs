@@ -5,7 +5,7 @@
 //! this power. At moderate sizes all exponents are 0, and results are bitwise those of plain
 //! numbers.
 
-use super::recursion::CostGradient;
+use super::cost_gradient::CostGradient;
 use crate::engine::flow::Flow;
 use crate::engine::pass::Pass;
 use crate::numbers::extended::{exponent_of, scaled};

@@ -1,6 +1,6 @@
 //! [`Given`]: cotangents of states and controls, in place of the gradients of the costs.
 
-use super::recursion::CostGradient;
+use super::cost_gradient::CostGradient;
 use crate::numbers::scalar::{Cotangent, Float, LANES, Lane, Real};
 
 /// Cotangents of all states and controls of a rollout, which the recursion adds where it otherwise

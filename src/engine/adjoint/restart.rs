@@ -1,7 +1,7 @@
 //! [`Recursion::restart`]: lower exponents for cotangents that have become small.
 
 use super::exponents::Limits;
-use super::recursion::Recursion;
+use super::state::Recursion;
 use crate::engine::pass::Pass;
 use crate::engine::rollout::Rollout;
 use crate::numbers::extended::{exponent_of, scaled};

@@ -1,7 +1,8 @@
 //! [`reverse_step`] for all samples, one block of lanes at a time.
 
 use super::exponents::Limits;
-use super::recursion::{Recursion, Step, reverse_step};
+use super::reverse_step::{Step, reverse_step};
+use super::state::Recursion;
 use crate::dynamics::task::Task;
 use crate::engine::flow::Flow;
 use crate::engine::rollout::Rollout;
