@@ -427,8 +427,8 @@ impl<K: TaskSpec> AnyTaskSpec for Entry<K> {
 
     fn scene(&'static self, settings: Table) -> Result<Scene, ConfigError> {
         let settings = Settings::<K>::fill(settings)?;
-        settings.validate()?;
-        Ok(Scene::new(self, settings))
+        let parts = settings.parts()?;
+        Ok(Scene::new(self, settings, parts))
     }
 
     fn schema(&self) -> serde_json::Value {
@@ -438,7 +438,10 @@ impl<K: TaskSpec> AnyTaskSpec for Entry<K> {
     fn variants(&'static self) -> Vec<(String, Scene)> {
         K::variants()
             .into_iter()
-            .map(|(name, settings)| (name, Scene::new(self, settings)))
+            .map(|(name, settings)| {
+                let parts = settings.parts().expect("variants are valid");
+                (name, Scene::new(self, settings, parts))
+            })
             .collect()
     }
 }

@@ -21,6 +21,7 @@ use crate::settings::{
     Precision, TrainingSettings, WindowSettings,
 };
 use crate::tasks::policy::{Controlled, PolicySettings, ScenePolicy, is_kind};
+use crate::tasks::settings::{Parts, Physics};
 use crate::tasks::{AnyTaskSpec, Conserved, Settings, TaskSpec};
 use anyhow::Result;
 use physgrad::actuator::Actuator;
@@ -72,7 +73,7 @@ pub struct Scene {
     /// Integrator of the physics.
     pub integrator: IntegratorSettings,
     actuator: ActuatorSettings,
-    physics: DynTask,
+    physics: Arc<Physics>,
     policy: ScenePolicy,
     policy_settings: Arc<PolicySettings>,
     /// Trained numbers of the policy, by their keys.
@@ -92,11 +93,7 @@ const LOSSES: &str = "`training.estimator` is zeroth_order, which follows differ
 trait AnySettings: Send + Sync {
     fn table(&self) -> Table;
     fn dt(&self) -> f64;
-    /// Names of the state components, and of the observed ones.
-    fn names(&self) -> [Vec<String>; 2];
-    /// Number of state components that the end of episodes and the sensor add.
-    fn added_states(&self) -> usize;
-    fn controlled(&self, physics: &DynTask) -> Controlled;
+    fn controlled(&self, physics: &Physics) -> Controlled;
     fn angles(&self) -> Vec<usize>;
     fn param_names(&self, task: &DynTask) -> Vec<String>;
     fn control_names(&self) -> Vec<String>;
@@ -123,16 +120,8 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
         K::dt(self)
     }
 
-    fn names(&self) -> [Vec<String>; 2] {
-        Settings::names(self)
-    }
-
-    fn added_states(&self) -> usize {
-        Settings::added_states(self)
-    }
-
-    fn controlled(&self, physics: &DynTask) -> Controlled {
-        Settings::controlled(self, physics).expect("validated settings")
+    fn controlled(&self, physics: &Physics) -> Controlled {
+        Settings::controlled(self, physics)
     }
 
     fn angles(&self) -> Vec<usize> {
@@ -160,7 +149,7 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
     }
 
     fn typical_physics(&self, values: &[(String, f64)]) -> Option<DynTask> {
-        K::with_typical(self, values)?.physics().ok()
+        Some(K::with_typical(self, values)?.physics().ok()?.task)
     }
 
     fn remarks(&self) -> Vec<String> {
@@ -203,11 +192,13 @@ fn held(controls: &[Vec<f64>], steps: f64) -> Vec<Vec<f64>> {
 
 impl Scene {
     /// Creates a scene from validated settings.
-    pub fn new<K: TaskSpec>(task: &'static dyn AnyTaskSpec, settings: Settings<K>) -> Self {
-        let physics = settings.physics().expect("validated settings");
-        let policy_settings = settings.policy().expect("validated settings");
-        let built = settings.built(&policy_settings, &physics).expect("validated settings");
-        let policy = WithParams::new(built.policy, trained_of(&physics));
+    pub fn new<K: TaskSpec>(
+        task: &'static dyn AnyTaskSpec,
+        settings: Settings<K>,
+        parts: Parts,
+    ) -> Self {
+        let Parts { physics, settings: policy_settings, built } = parts;
+        let policy = WithParams::new(built.policy, trained_of(&physics.task));
         // Without parameters, every further epoch would repeat the first.
         let most_epochs = if policy.param_count() == 0 { 1 } else { usize::MAX };
         Self {
@@ -221,7 +212,7 @@ impl Scene {
             training: settings.training.clone(),
             integrator: settings.integrator,
             actuator: settings.actuator.clone(),
-            physics,
+            physics: Arc::new(physics),
             policy,
             policy_numbers: built.numbers.into(),
             policy_settings: Arc::new(policy_settings),
@@ -259,7 +250,7 @@ impl Scene {
 
     /// The task.
     pub fn task(&self) -> &DynTask {
-        &self.physics
+        &self.physics.task
     }
 
     /// Range of each control, None without bounds: the range to which the actuators limit all
@@ -267,8 +258,8 @@ impl Scene {
     pub fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
         let limited = self.actuator.chain(self.dt()).range();
         limited
-            .map(|range| vec![range; self.physics.system().control_dim()])
-            .or_else(|| self.physics.control_bounds())
+            .map(|range| vec![range; self.physics.task.system().control_dim()])
+            .or_else(|| self.physics.task.control_bounds())
     }
 
     /// Checks the gradients of system, policy and rollout, or of a window with a random value function.
@@ -297,14 +288,14 @@ impl Scene {
 
     /// Numbers of steps of test episodes. None if they cannot end, or if a rollout diverges.
     pub fn lengths(&self, theta: &[f64]) -> Option<Vec<usize>> {
-        checks::lengths(&self.physics, &self.policy, theta, self.seed)
+        checks::lengths(&self.physics.task, &self.policy, theta, self.seed)
     }
 
     /// Loss and gradient at the parameters `theta` and at parameters nearby, of a window without its value
     /// function if updates see windows.
     pub fn plateau(&self, theta: &[f64]) -> Result<Plateau, Divergence> {
         let window = self.windows().map(|windows| windows.first());
-        let task = window.unwrap_or_else(|| self.physics.clone());
+        let task = window.unwrap_or_else(|| self.physics.task.clone());
         checks::plateau(&task, &self.policy, theta, self.seed)
     }
 
@@ -314,8 +305,8 @@ impl Scene {
         let task = match self.windows() {
             Some(windows) => Windows { steps, ..windows }.first(),
             None => {
-                let system = self.physics.system().clone();
-                self.physics.clone().adapted(system, 1, Vec::new(), steps)
+                let system = self.physics.task.system().clone();
+                self.physics.task.clone().adapted(system, 1, Vec::new(), steps)
             }
         };
         checks::jumps(&task, &self.policy, theta, self.seed, &self.coordinates(theta))
@@ -329,37 +320,37 @@ impl Scene {
 
     /// Runs a rollout and its adjoints, and prepares them for timing.
     pub fn prepare(&self, theta: &[f64]) -> Job {
-        let (task, policy) = (self.physics.clone(), self.policy.clone());
+        let (task, policy) = (self.physics.task.clone(), self.policy.clone());
         simulation::job(task, policy, theta, self.precision, self.seed)
     }
 
     /// Gradient and its costs, by the given method in the given precision.
     pub fn derive(&self, theta: &[f64], precision: Precision, method: GradientMethod) -> Derived {
-        let (task, policy) = (self.physics.clone(), self.policy.clone());
+        let (task, policy) = (self.physics.task.clone(), self.policy.clone());
         gradients::derived(task, policy, theta, precision, self.seed, method)
     }
 
     /// Components of the gradients of R, M and S, in double-double arithmetic. The indices of their
     /// parameters are evenly spaced. Calls `done` after each component.
     pub fn refer(&self, theta: &[f64], done: &(dyn Fn() + Sync)) -> [Vec<f64>; 3] {
-        gradients::reference(&self.physics, &self.policy, theta, self.seed, done)
+        gradients::reference(&self.physics.task, &self.policy, theta, self.seed, done)
     }
 
     /// Operation counts of a physics step and of its VJPs, and of the costs and the observation.
     pub fn cost(&self) -> TaskOpCount {
-        TaskOpCount::of(&self.physics)
+        TaskOpCount::of(&self.physics.task)
     }
 
     /// Bytes of a rollout of 8 samples, for evaluation or with the adjoint of a field.
     pub fn stored(&self, field: Option<Field>) -> usize {
-        costs::stored(&self.physics, &self.policy, self.precision, field)
+        costs::stored(&self.physics.task, &self.policy, self.precision, field)
     }
 
     /// Prepares the policy with these parameters for rollouts from new initial states. Numbers that
     /// the scene trains have their initial values.
     pub fn evaluation(&self, theta: &[f64], seed: u64) -> Result<Box<dyn AnyEvaluation>> {
         self.check_memory()?;
-        let (task, policy) = (self.physics.clone(), self.policy.clone());
+        let (task, policy) = (self.physics.task.clone(), self.policy.clone());
         evaluation::new(task, policy, self.precision, theta, seed)
     }
 
@@ -373,7 +364,7 @@ impl Scene {
         let of = |physics: &DynTask| {
             identification::identified(physics, &names, &angles, segments, options)
         };
-        let mut fit = of(&self.physics)?;
+        let mut fit = of(&self.physics.task)?;
         for _ in 0..REPETITIONS {
             let values: Vec<_> =
                 fit.names.iter().cloned().zip(fit.values.iter().copied()).collect();
@@ -404,7 +395,7 @@ impl Scene {
 
     /// Returns whether the physics depends on the time of the segment, at its measured states.
     pub fn depends_on_time(&self, segment: &Segment) -> bool {
-        identification::depends_on_time(&self.physics, &self.param_names(), segment)
+        identification::depends_on_time(&self.physics.task, &self.param_names(), segment)
     }
 
     /// Optimizes the controls from the initial state `x0` with the parameters `p`.
@@ -415,7 +406,7 @@ impl Scene {
         initial: Initial,
         options: &optimize::Options,
     ) -> Result<Plan, OptimizeError> {
-        optimize::optimize(&self.physics, x0, p, initial, options)
+        optimize::optimize(&self.physics.task, x0, p, initial, options)
     }
 
     /// Time step, in the unit of time of the task: s, except for `quantum`.
@@ -425,31 +416,29 @@ impl Scene {
 
     /// Index of the state component that tells the end of an episode, if episodes can end.
     pub fn ended(&self) -> Option<usize> {
-        Task::ended(&self.physics)
+        Task::ended(&self.physics.task)
     }
 
     /// Names of the state components.
     pub fn state_names(&self) -> Vec<String> {
-        let [states, _] = self.settings.names();
-        states
+        self.physics.states.clone()
     }
 
     /// Names of the components that the policy observes: those of the state. A component of another
     /// observation has the name that its expression consists of, or else y_1, y_2, …
     pub fn observation_names(&self) -> Vec<String> {
-        let [_, observed] = self.settings.names();
-        observed
+        self.physics.observed.clone()
     }
 
     /// Names of the parameters of a rollout.
     pub fn param_names(&self) -> Vec<String> {
-        self.settings.param_names(&self.physics)
+        self.settings.param_names(&self.physics.task)
     }
 
     /// Keys and values of the numbers that are not fixed.
     pub fn varied(&self) -> Vec<(String, Number)> {
         let names = self.param_names();
-        let varied = self.physics.system().varied(self.physics.param_dim());
+        let varied = self.physics.task.system().varied(self.physics.task.param_dim());
         varied.into_iter().map(|varied| (names[varied.index].clone(), varied.number)).collect()
     }
 
@@ -480,7 +469,7 @@ impl Scene {
 
     /// States without the components that the end of episodes and the sensor add.
     fn unsensed<'a>(&self, states: &'a [Vec<f64>]) -> Cow<'a, [Vec<f64>]> {
-        match self.settings.added_states() {
+        match self.physics.added {
             0 => Cow::Borrowed(states),
             added => states.iter().map(|x| x[..x.len() - added].to_vec()).collect(),
         }
@@ -490,9 +479,7 @@ impl Scene {
     /// trained.
     pub fn conserved(&self) -> Option<Conserved> {
         // The quantity has fixed numbers, but the drawn or trained numbers of a sample may differ.
-        self.settings
-            .conserved()
-            .filter(|_| self.varied().is_empty() && self.settings.added_states() == 0)
+        self.settings.conserved().filter(|_| self.varied().is_empty() && self.physics.added == 0)
     }
 
     /// Animation of one rollout, from its states, controls and parameters.
@@ -617,7 +604,7 @@ impl Scene {
         let training = self.training.training(self.epochs, self.seed, workers);
         let windows = self.windows();
         let field = self.training.weighted_in(self.field.0, windows.is_some());
-        let (task, policy) = (self.physics.clone(), self.policy.clone());
+        let (task, policy) = (self.physics.task.clone(), self.policy.clone());
         session::open(task, policy, self.precision, field, training, windows, given)
     }
 
@@ -657,13 +644,14 @@ impl Scene {
     /// The windows of the training. None if updates see whole rollouts.
     fn windows(&self) -> Option<Windows> {
         let window = self.window.as_ref()?;
-        Some(window.windows(self.physics.clone(), self.training.discount))
+        Some(window.windows(self.physics.task.clone(), self.training.discount))
     }
 
     /// The task whose gradients an update sees: the first window without noise, or the whole task.
     fn stepped(&self) -> DynTask {
         let windows = self.windows().map(|windows| Windows { noise: Vec::new(), ..windows });
-        windows.map_or_else(|| self.physics.clone(), |windows| windows.checked(None, self.seed))
+        windows
+            .map_or_else(|| self.physics.task.clone(), |windows| windows.checked(None, self.seed))
     }
 
     /// Checks that a run fits in the memory of this machine.

@@ -87,6 +87,27 @@ fn is_absent(equations: &Replacement) -> bool {
     *equations == Replacement::default()
 }
 
+/// A task as the policy sees it.
+#[derive(Clone)]
+pub struct Physics {
+    pub task: DynTask,
+    /// Names of the state components.
+    pub states: Vec<String>,
+    /// Names of the observed components.
+    pub observed: Vec<String>,
+    /// Number of state components that the end of episodes and the sensor add, after all others.
+    pub added: usize,
+}
+
+/// What valid settings describe.
+pub struct Parts {
+    pub physics: Physics,
+    /// Settings of the policy.
+    pub settings: PolicySettings,
+    /// The policy.
+    pub built: Built,
+}
+
 impl<K: TaskSpec> Settings<K> {
     /// Default settings of the task.
     pub fn defaults() -> Self {
@@ -144,24 +165,26 @@ impl<K: TaskSpec> Settings<K> {
         Ok(settings)
     }
 
-    /// Checks all ranges, and refuses unused settings.
-    pub fn validate(&self) -> Result<(), ConfigError> {
+    /// Checks all ranges, refuses unused settings, and builds task and policy.
+    pub fn parts(&self) -> Result<Parts, ConfigError> {
         count("horizon", self.horizon, 1..=100_000_000)?;
         count("epochs", self.epochs, 0..=1_000_000_000)?;
         self.training.validate()?;
         if let Some(window) = &self.window {
             window.validate(self.horizon, self.training.discount)?;
         }
-        let policy = self.policy()?;
+        let settings = PolicySettings::read(self.policy.clone(), Some(K::POLICY));
+        let settings = settings.map_err(|error| error.within("policy"))?;
         self.actuator.validate()?;
         self.sensor.validate()?;
         self.integrator.validate(self.precision, K::METHODS)?;
         K::validate(self)?;
         K::validate_own_effects(&self.own_effects)?;
         let physics = self.physics()?;
-        let built = self.built(&policy, &physics)?;
+        let built = settings.build(&self.controlled(&physics));
+        let built = built.map_err(|error| error.within("policy"))?.within("policy.", 0);
         if let Some(window) = &self.window {
-            let restarts = window.restarts() || physics.ended().is_some();
+            let restarts = window.restarts() || physics.task.ended().is_some();
             if let Some(part) = self.sensor.remembers().filter(|_| restarts) {
                 let what = "is not supported with a value function or the end of episodes: the sensor begins \
                             at step 0, but these episodes begin at other steps of the epoch. Remove it, or \
@@ -170,12 +193,12 @@ impl<K: TaskSpec> Settings<K> {
             }
             window.check_policy(&built.policy)?;
         }
-        self.check_names()
+        self.check_names(&physics.states)?;
+        Ok(Parts { physics, settings, built })
     }
 
     /// Refuses a name that two columns of a trajectory would have.
-    fn check_names(&self) -> Result<(), ConfigError> {
-        let [states, _] = self.names();
+    fn check_names(&self, states: &[String]) -> Result<(), ConfigError> {
         let controls = K::control_names(self);
         let mut seen = HashSet::new();
         match states.iter().chain(&controls).find(|name| !seen.insert(*name)) {
@@ -188,31 +211,19 @@ impl<K: TaskSpec> Settings<K> {
         }
     }
 
-    /// The settings of the policy.
-    pub fn policy(&self) -> Result<PolicySettings, ConfigError> {
-        let settings = PolicySettings::read(self.policy.clone(), Some(K::POLICY));
-        settings.map_err(|error| error.within("policy"))
-    }
-
-    /// The policy of these settings for this task.
-    pub fn built(&self, policy: &PolicySettings, physics: &DynTask) -> Result<Built, ConfigError> {
-        let built = policy.build(&self.controlled(physics)?);
-        Ok(built.map_err(|error| error.within("policy"))?.within("policy.", 0))
-    }
-
     /// What a policy observes and controls in this task.
-    pub fn controlled(&self, physics: &DynTask) -> Result<Controlled, ConfigError> {
+    pub fn controlled(&self, Physics { task, observed, .. }: &Physics) -> Controlled {
         let limited = || {
             let range = self.actuator.chain(K::dt(self)).range()?;
-            Some(vec![range; physics.system().control_dim()])
+            Some(vec![range; task.system().control_dim()])
         };
-        Ok(Controlled {
-            observations: self.observation_names(&self.unsensed()?),
+        Controlled {
+            observations: observed.clone(),
             controls: K::control_names(self),
-            bounds: physics.control_bounds().or_else(limited),
+            bounds: task.control_bounds().or_else(limited),
             horizon: self.horizon,
             dt: K::dt(self),
-        })
+        }
     }
 
     /// Names of the components that a policy observes of a task without the sensor: those of the
@@ -237,39 +248,33 @@ impl<K: TaskSpec> Settings<K> {
 
     /// The task as the policy sees it: with the observation and the costs of the section `equations`,
     /// with the end of episodes, and with the sensor.
-    pub fn physics(&self) -> Result<DynTask, ConfigError> {
+    pub fn physics(&self) -> Result<Physics, ConfigError> {
         let task = self.unsensed()?;
-        let names = self.observation_names(&task);
-        let task = if task.can_end() { DynTask::new(Ending::new(task)) } else { task };
+        let observed = self.observation_names(&task);
+        let mut states = self.unsensed_states();
+        let own = states.len();
+        let task = if task.can_end() {
+            states.push("ended".into());
+            DynTask::new(Ending::new(task))
+        } else {
+            task
+        };
+        states.extend(self.sensor.state_names(&observed));
+        let added = states.len() - own;
         if self.sensor.is_empty() {
-            return Ok(task);
+            return Ok(Physics { task, states, observed, added });
         }
-        let sensed = Sensed::new(task, self.sensor.sensor(names.len(), K::dt(self)));
-        sensed.map(DynTask::new).map_err(|error| {
+        let sensed = Sensed::new(task, self.sensor.sensor(observed.len(), K::dt(self)));
+        let sensed = sensed.map_err(|error| {
             let list = if error.list == "bias" { "bias.value" } else { "noise.deviation" };
-            ConfigError::new(format!("sensor.{list}"), format!("{error}: {}", names.join(", ")))
-        })
+            ConfigError::new(format!("sensor.{list}"), format!("{error}: {}", observed.join(", ")))
+        })?;
+        Ok(Physics { task: DynTask::new(sensed), states, observed, added })
     }
 
     /// Names of the state components of the task and its actuators.
     fn unsensed_states(&self) -> Vec<String> {
         [K::state_names(self), self.actuator.state_names(&K::control_names(self))].concat()
-    }
-
-    /// Names of all state components, and of those that the policy observes.
-    pub fn names(&self) -> [Vec<String>; 2] {
-        let mut states = self.unsensed_states();
-        let task = self.unsensed().expect("validated settings");
-        let observed = self.observation_names(&task);
-        states.extend(task.can_end().then(|| "ended".to_owned()));
-        states.extend(self.sensor.state_names(&observed));
-        [states, observed]
-    }
-
-    /// Number of state components that the end of episodes and the sensor add.
-    pub fn added_states(&self) -> usize {
-        let [states, _] = self.names();
-        states.len() - self.unsensed_states().len()
     }
 
     /// The task, with the observation and the costs of the section `equations`.

@@ -104,7 +104,7 @@ impl Scene {
     pub fn policy_of(&self, other: &Self) -> Result<ScenePolicy, ConfigError> {
         let built = other.policy_settings.build(&self.controlled());
         let built = built.map_err(|error| error.within("policy"))?;
-        Ok(WithParams::new(built.policy, trained_of(&other.physics)))
+        Ok(WithParams::new(built.policy, trained_of(&other.physics.task)))
     }
 
     /// Description of the policy, for other programs.
