@@ -24,9 +24,10 @@ use std::sync::LazyLock;
 use std::time::Duration;
 use toml::{Table, Value};
 
-pub(super) const KINDS: [Kind; 4] = [
+pub(super) const KINDS: [Kind; 5] = [
     Kind { name: "scenes", share: 8, attempt: scene },
     Kind { name: "assignments (--set)", share: 5, attempt: assignments },
+    Kind { name: "expressions", share: 6, attempt: expressions },
     Kind { name: "checkpoints", share: 12, attempt: checkpoint },
     Kind { name: "run folders", share: 1, attempt: folder },
 ];
@@ -207,6 +208,86 @@ fn assignments(number: u64, outcomes: &mut Outcomes) {
             overrides.apply(&mut source)?;
             source.scene()
         }))
+    });
+}
+
+/// Words of expressions, known and unknown.
+const WORDS: [&str; 48] = [
+    "x", "y", "u", "k", "d", "t", "dt", "w", "next.x", "ended", "m", "z", "x.y", "0", "1", "-2.5",
+    "1e308", "1e-320", "1e999", "3.", ".5", "+", "-", "*", "/", "^", "**", "<", "<=", "==", "and",
+    "or", "not", "(", ")", "(", ")", ",", "sin(", "sqrt(", "where(", "clip(", "max(", "atan2(",
+    "log(", "tanh(", "if", "\u{3c0}",
+];
+
+/// A few words, a usual form with random words, a long chain, or deep nesting.
+fn expression(rng: &mut Rng) -> String {
+    let word = |rng: &mut Rng| *one_of(rng, &WORDS);
+    let long = rng.random_range(1..3000);
+    match rng.random_range(0..12) {
+        0 => {
+            let pairs = [["(", ")"], ["sin(", ")"], ["-", ""], ["x^", ""], ["not ", ""]];
+            one_of(rng, &pairs).map(|part| part.repeat(long)).join("x")
+        }
+        1 => vec![word(rng); long].join(one_of::<&str>(rng, &["+", "*", "^", " "])),
+        2..8 => {
+            let (a, b, c) = (word(rng), word(rng), word(rng));
+            let forms = [
+                format!("{a} * {b} - {c}"),
+                format!("where({a} < {b}, {c}, sqrt({a}))"),
+                format!("({a} + {b})^2 / {c}"),
+                format!("clip({a}, -1, 1) * atan2({b}, {c})"),
+            ];
+            one_of(rng, &forms).clone()
+        }
+        _ => (0..rng.random_range(1..12)).map(|_| word(rng)).collect::<Vec<_>>().join(" "),
+    }
+}
+
+/// Reads equations of a system and its costs, or of the costs of a built-in task, with random
+/// expressions, and trains a valid scene for an epoch. A number that is not finite is an error there.
+fn expressions(number: u64, outcomes: &mut Outcomes) {
+    let rng = &mut numbers_of(number);
+    let mut chosen = |usual: &str| {
+        let text = if rng.random_range(0..4) == 0 { expression(rng) } else { usual.to_owned() };
+        Value::String(text).to_string()
+    };
+    let is_built_in = number.is_multiple_of(4);
+    let [task, control] = if is_built_in { ["cart_pole", "force"] } else { ["equations", "u"] };
+    let mut text = format!(
+        "scene = 1\ntask = \"{task}\"\nepochs = 1\nhorizon = 4\n[policy]\nkind = \"equations\"\n\
+         control.{control} = {}\nnext.m = {}\nparameters.k = {{ start = 0.5 }}\n\
+         [training]\nbatch = 2\ntrain_samples = 2\ntest_samples = 2\n",
+        chosen("k * x - m"),
+        chosen("m + x"),
+    );
+    if is_built_in {
+        text += &format!(
+            "[equations]\nrunning = {}\nterminal = {}\ndefine.d = {}\n",
+            chosen("x^2 + d"),
+            chosen("x^2"),
+            chosen("cos(theta_1)"),
+        );
+    } else {
+        text += &format!(
+            "[system]\nstates = [\"x\", \"y\"]\ncontrols = [\"u\"]\ndt = 0.1\nrate.x = {}\nrate.y = {}\n\
+             define.d = {}\nparameters.k = {{ uniform = [1.0, 2.0] }}\ntables.w = [1.0, 2.0]\n\
+             [loss]\nrunning = {}\nterminal = {}\nend = {}\n",
+            chosen("y"),
+            chosen("u - d + w"),
+            chosen("k * sin(x)"),
+            chosen("next.x^2 + u^2"),
+            chosen("x^2"),
+            chosen("x > 2"),
+        );
+    }
+    outcomes.record(number, 20_000_000 + 4000 * text.len(), || {
+        let read = SceneSource::parse("a scene", &text).and_then(|source| source.scene());
+        if let Ok(scene) = &read
+            && let Ok(mut run) = scene.open(1)
+        {
+            let _ = run.advance(&|| false);
+        }
+        is_scene(read)
     });
 }
 
