@@ -22,8 +22,23 @@ pip install numpy pytest pytest-xdist || skip "pip cannot install packages"
 # Tests of missing packages skip with a reason.
 pip install gymnasium pygame jax casadi || echo "gymnasium, pygame, jax or casadi is missing: their tests are skipped"
 if [ "${PHYSGRAD_PYTHON_ALL:-0}" = 1 ]; then
-    pip install torch stable-baselines3 moviepy pandas matplotlib lmfit
+    pip install torch stable-baselines3 moviepy pandas matplotlib lmfit mujoco
     pip install mypy pyright ipython tqdm joblib 'dask[distributed]' ray nbclient ipykernel
+    # controlgym asks for old releases of NumPy and Gymnasium, and runs with the present ones.
+    pip install do-mpc scipy
+    pip install --no-deps controlgym
+    # Wheels have no examples. Those of CasADi are in its source archive, those of do-mpc in its repository.
+    casadi=$target/casadi do_mpc=$target/do-mpc
+    rm -rf "$casadi" "$do_mpc"
+    version=$("$venv/bin/python" -c 'import casadi; print(casadi.__version__)')
+    pip download --no-deps --no-binary casadi --dest "$casadi" "casadi==$version"
+    tar -xzf "$casadi/casadi-$version.tar.gz" -C "$casadi" --strip-components 1
+    export PHYSGRAD_CASADI_EXAMPLES=$casadi/docs/examples/python
+    if git clone --quiet --depth 1 https://github.com/do-mpc/do-mpc "$do_mpc"; then
+        export PHYSGRAD_DO_MPC_EXAMPLES=$do_mpc/examples
+    else
+        echo "GitHub cannot be reached: the tests of do-mpc's examples are skipped"
+    fi
 fi
 
 if [ -n "${PHYSGRAD_MODULE:-}" ]; then

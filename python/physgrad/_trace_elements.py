@@ -10,6 +10,8 @@ import numpy as np
 
 from ._trace_graph import MOST_POWER
 from ._trace_numbers import (
+    Condition,
+    Symbol,
     TracedNumber,
     apply,
     check_dtype,
@@ -178,18 +180,24 @@ OF_ANY = {"add", "subtract", "multiply", "clip", "less", "less_equal", "greater"
 }
 
 
+# Types of single numbers.
+NUMBERS = {TracedNumber, Condition, float, int, np.float64}
+
+
 def elementwise(function: Callable, *args: Any) -> Any:
     """Broadcasts a function of numbers."""
+    if isinstance(args[0], Symbol) and NUMBERS.issuperset(map(type, args)):
+        return function(*args)
     check_small(args)
     arrays = [plain(arg) for arg in args]
     try:
-        arrays = np.broadcast_arrays(*arrays)
+        elements = np.broadcast(*arrays)
     except ValueError:
         shapes = " and ".join(str(array.shape) for array in arrays)
         refuse(ValueError, f"arrays of shapes {shapes} do not broadcast")
-    out = np.empty(arrays[0].shape, dtype=object)
-    for index in np.ndindex(out.shape):
-        out[index] = function(*(array[index] for array in arrays))
+    out = np.empty(elements.shape, dtype=object)
+    for i, parts in enumerate(elements):
+        out.flat[i] = function(*parts)
     return finish(out, names_of(args))
 
 
@@ -209,16 +217,16 @@ def names_of(args: Any) -> tuple[str, ...] | None:
     return names.pop() if len(names) == 1 else None
 
 
+def of_traced(name: str) -> Callable:
+    """The rule of a function by elements, of which at least one is traced."""
+    rule = ELEMENTWISE[name]
+    return rule if name in OF_ANY else lambda *args: rule(*map(lift, args))
+
+
 def of_numbers(name: str) -> Callable:
     """The rule of a function by elements. Computes without tracing if no argument is traced."""
-    traced, untraced = ELEMENTWISE[name], getattr(np, name)
-
-    def function(*args: Any) -> Any:
-        if not any(map(is_traced, args)):
-            return untraced(*args)
-        return traced(*(args if name in OF_ANY else map(lift, args)))
-
-    return function
+    traced, untraced = of_traced(name), getattr(np, name)
+    return lambda *args: (traced if any(map(is_traced, args)) else untraced)(*args)
 
 
 def check_options(name: str, options: dict) -> None:

@@ -13,6 +13,8 @@ from collections.abc import Iterable
 from ._trace_errors import fail, place
 
 OPERATORS = {"add": ("+", 1), "sub": ("-", 1), "mul": ("*", 2), "div": ("/", 2)}
+# Operations that may become shorter nodes.
+REWRITTEN = {*OPERATORS, "neg"}
 COMPARISONS = {"lt": "<", "le": "<=", "gt": ">", "ge": ">="}
 # Conditions of other conditions. Those that are shared or long become numbers, 0 or 1.
 JOINED = ("and", "or", "not")
@@ -58,13 +60,12 @@ class Graph:
 
     def number(self, id: int) -> float | None:
         """The value of a node that is a constant."""
-        op, *args = self.nodes[id]
-        return float(args[0]) if op == "number" else None
+        node = self.nodes[id]
+        return float(node[1]) if node[0] == "number" else None
 
     def apply(self, op: str, *args: int) -> int:
         """Adds an operation."""
-        a, b = args[0], args[-1]
-        rewritten = self.rewrite(op, a, b, self.number(a), self.number(b))
+        rewritten = self.rewrite(op, args[0], args[-1]) if op in REWRITTEN else None
         if rewritten is not None:
             return rewritten
         id = self.add(op, *args)
@@ -72,29 +73,27 @@ class Graph:
             self.places.setdefault(id, place())
         return id
 
-    def rewrite(self, op: str, a: int, b: int, left: float | None, right: float | None) -> int | None:
+    def rewrite(self, op: str, a: int, b: int) -> int | None:
         """A shorter node with the same value, or None."""
+        right = self.number(b)
         if op == "neg":
-            return (
-                self.nodes[a][1]
-                if self.nodes[a][0] == "neg"
-                else None
-                if left is None
-                else self.constant(-left)
-            )
-        if op in ("add", "sub") and self.nodes[b][0] == "neg":
+            inner = self.nodes[a][1] if self.nodes[a][0] == "neg" else None
+            return inner if right is None else self.constant(-right)
+        if op in ("mul", "div"):
+            one = op == "mul" and self.number(a) == 1.0
+            return a if right == 1.0 else b if one else None
+        if self.nodes[b][0] == "neg":
             return self.apply("sub" if op == "add" else "add", a, self.nodes[b][1])
-        if op == "add" and right is not None and math.copysign(1.0, right) < 0:
-            return self.apply("sub", a, self.constant(-right))
-        if op == "sub" and right is not None and right < 0:
+        if right is None:
+            return None
+        negative = math.copysign(1.0, right) < 0
+        if op == "add":
+            return self.apply("sub", a, self.constant(-right)) if negative else None
+        if right < 0:
             return self.apply("add", a, self.constant(-right))
-        if op == "sub" and right == 0.0 and math.copysign(1.0, right) > 0:
+        if right == 0.0 and not negative:
             return a
-        if op == "sub" and right == math.pi:
-            return self.wrapped_angle(a)
-        if (op == "mul" or op == "div") and right == 1.0:
-            return a
-        return b if op == "mul" and left == 1.0 else None
+        return self.wrapped_angle(a) if right == math.pi else None
 
     def wrapped_angle(self, a: int) -> int | None:
         """The angle of `(x + pi) % (2 * pi) - pi`, if `a` is its remainder: atan2(sin(x), cos(x))."""
@@ -133,16 +132,15 @@ class Text:
                 waiting += self.args(id)
         return uses
 
-    def args(self, id: int) -> list[int]:
-        op, *args = self.graph.nodes[id]
-        return [] if op in ("number", "name") else args[:1] if op == "power" else args
+    def args(self, id: int) -> tuple[int, ...]:
+        node = self.graph.nodes[id]
+        return () if node[0] in ("number", "name") else node[1:2] if node[0] == "power" else node[1:]
 
     def write(self, id: int) -> None:
         """Finds the text of a node whose arguments have theirs."""
         op, *args = self.graph.nodes[id]
-        if (op == "name" and args[0].startswith("next.")) or any(
-            arg in self.of_next for arg in self.args(id)
-        ):
+        of_next = op == "name" and args[0].startswith("next.")
+        if of_next or not self.of_next.isdisjoint(self.args(id)):
             self.of_next.add(id)
         limit = LONGEST_COMPARISON if op in COMPARISONS else LONGEST
         self.shown[id] = self.render(op, args)

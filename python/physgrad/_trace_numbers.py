@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import numbers
 from collections.abc import Callable
 from typing import Any, NoReturn
@@ -82,22 +83,25 @@ def check_call(value: Symbol) -> None:
         )
 
 
+# Types of real numbers. A `bool` is an `int`.
+REAL = (float, int, np.bool_, np.integer, np.floating)
+
+
 def lift(value: Any) -> TracedNumber:
     """A value as a traced number of the present call."""
-    if isinstance(value, np.ndarray) and base(value).ndim == 0:
-        value = base(value).item()
     if isinstance(value, Symbol):
         check_call(value)
         return value if isinstance(value, TracedNumber) else choose(value, 1.0, 0.0)
-    real = isinstance(value, (bool, int, float, np.bool_, np.integer, np.floating))
-    if not real or isinstance(value, np.longdouble) and not isinstance(value, float):
+    if isinstance(value, np.ndarray) and base(value).ndim == 0:
+        return lift(base(value).item())
+    if not isinstance(value, REAL) or isinstance(value, np.longdouble) and not isinstance(value, float):
         shown = (
             f"complex number {value}"
             if isinstance(value, (complex, np.complexfloating))
             else type(value).__name__
         )
         refuse(TypeError, f"a traced function computes with real numbers of float64, not with {shown}")
-    if not np.isfinite(value):
+    if not math.isfinite(value):
         refuse(
             ValueError,
             f"a constant is {float(value)}. Constants must be finite: leave out infinite bounds, and "
@@ -148,19 +152,9 @@ def invert(a: Any) -> Any:
 
 
 class Operators:
-    """Operators and functions of NumPy, by the rules of `_trace_numpy`."""
+    """Operators and functions of NumPy, by the rules that `_trace_numpy` gives to this class."""
 
     __slots__ = ()
-
-    def __array_ufunc__(self, function, method, *args, **options):
-        from ._trace_numpy import ufunc
-
-        return ufunc(function, method, args, options)
-
-    def __array_function__(self, function, types, args, kwargs):
-        from ._trace_numpy import array_function
-
-        return array_function(function, args, kwargs)
 
 
 class Symbol(Operators):

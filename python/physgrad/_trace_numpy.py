@@ -9,11 +9,21 @@ from typing import Any
 import numpy as np
 
 from . import _trace_algebra as algebra
-from ._trace_elements import ELEMENTWISE, check_options, check_small, clip, elementwise, of_numbers
+from ._trace_elements import (
+    ELEMENTWISE,
+    NUMBERS,
+    check_options,
+    check_small,
+    clip,
+    elementwise,
+    of_numbers,
+    of_traced,
+)
 from ._trace_errors import ORDER, SEARCH, SELECT, near
 from ._trace_numbers import (
     CALLS,
     Condition,
+    Operators,
     TracedNumber,
     base,
     choose,
@@ -44,11 +54,20 @@ REFUSED = {
     **{name: FINITE.format(name=name) for name in ("isnan", "isfinite", "isinf")},
 }
 
+# Calls with numbers and without options, which are most, need nothing but the rule.
+OF_NUMBERS = {
+    getattr(np, name): of_traced(name)
+    for name in ELEMENTWISE
+    if isinstance(getattr(np, name), np.ufunc)
+}
 
-def ufunc(function: np.ufunc, method: str, args: tuple, options: dict) -> Any:
+
+def ufunc(_: Any, function: np.ufunc, method: str, *args: Any, **options: Any) -> Any:
     """Evaluates a call or a method of a universal function."""
+    if method == "__call__" and not options and NUMBERS.issuperset(map(type, args)):
+        if function in OF_NUMBERS:
+            return OF_NUMBERS[function](*args)
     name = function.__name__
-    options = dict(options)
     out = options.pop("out", None)
     if method == "at":
         refuse(TypeError, f"np.{name}.at is not supported in a traced function; assign the elements")
@@ -328,3 +347,12 @@ def unsupported(name: str) -> Any:
         f"np.{name} is not supported in a traced "
         f"function{near(name, known, 0.65) or '; write it with other functions'}",
     )
+
+
+# NumPy calls these for operators and functions of traced numbers and their arrays.
+setattr(Operators, "__array_ufunc__", ufunc)
+setattr(
+    Operators,
+    "__array_function__",
+    lambda _, function, types, args, kwargs: array_function(function, args, kwargs),
+)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 import numpy as np
 
 from . import _trace_numbers as numbers
+from . import _trace_numpy  # noqa: F401 (gives traced numbers their operators)
 from ._distributions import finite, table
 from ._import_casadi import CasadiFunction, is_casadi
 from ._import_jax import JaxFunction
@@ -387,7 +388,18 @@ def traced(graph: Graph, plan: Plan, role: str, function: Function) -> list[int]
 def equations(plan: Plan, functions: dict[str, Function]) -> dict[str, Any]:
     """Definitions, and expressions by function."""
     graph = Graph()
-    outputs = {role: traced(graph, plan, role, function) for role, function in functions.items()}
+    # Equal operations of a second call are the same nodes.
+    outputs, again = (
+        {role: traced(graph, plan, role, function) for role, function in functions.items()}
+        for _ in range(2)
+    )
+    for role, function in functions.items():
+        if outputs[role] != again[role]:
+            raise ValueError(
+                f"{begin(function)} gave other equations when it was called again. A function must not "
+                "draw random numbers, count its calls or change variables. In `params`, pg.uniform is drawn "
+                "for each rollout and pg.noise in each step; states are memory"
+            )
     text = Text(graph, [id for ids in outputs.values() for id in ids], [*plan.labels, *RESERVED])
     return {
         "define": text.define,
@@ -438,18 +450,7 @@ def trace_settings(
         if function is not None
     }
     with constructors(functions.values()):
-        found, again = equations(plan, functions), equations(plan, functions)
-    for role, function in functions.items():
-        if found != again and (found[role] != again[role] or len(functions) == 1):
-            raise ValueError(
-                f"{begin(function)} gave other equations when it was called again. A function must not "
-                "draw random numbers, count its calls or change variables. In `params`, pg.uniform is drawn "
-                "for each rollout and pg.noise in each step; states are memory"
-            )
-    if found != again:
-        raise ValueError(
-            "the functions gave other equations when they were called again; they must not change variables"
-        )
+        found = equations(plan, functions)
     starts = by_order("start", start, plan.states)
     if isinstance(angles, (int, np.integer)):
         raise TypeError(f"`angles` is {angles!r}; allowed: a list of names of states")

@@ -197,6 +197,9 @@ class Case:
             known.update({group + name: np.float64(value) for name, value in zip(names, values, strict=True)})
         reader = Reader(self.system.get("define", {}), known)
         with np.errstate(all="ignore"):
+            # In their order, definitions need no deep recursion.
+            for name in reader.define:
+                reader.name(name)
             found = [reader.read(text) for text in self.texts()]
             order = trace.ARGUMENTS[self.role]
             positional, named = trace.fit(self.role, self.function, {name: given[name] for name in order})

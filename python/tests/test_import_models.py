@@ -3,6 +3,9 @@
 import functools
 import importlib
 import importlib.util
+import os
+import runpy
+import types
 
 import numpy as np
 import pytest
@@ -220,13 +223,16 @@ CASADI_MODELS = (
 @needs_module
 @pytest.mark.parametrize("name", CASADI_MODELS)
 def test_models_of_casadi_have_their_steps_and_derivatives(name):
-    import casadi as ca
-
     models = casadi_models()
     assert list(models) == CASADI_MODELS
-    f = models[name]
+    agrees_with_casadi(name, models[name])
+
+
+def agrees_with_casadi(name, f, given=None):
+    import casadi as ca
+
     n, m = f.numel_in(0), f.numel_in(1)
-    task, given = task_of(name, f, n, m), points(n, m)
+    task, given = task_of(name, f, n, m), given or points(n, m)
     x, u, bar = ca.MX.sym("x", n), ca.MX.sym("u", m), ca.MX.sym("bar", n)
     next = f(x, u) if name.startswith("step") else x + 0.1 * f(x, u)
     reverse = [ca.jtimes(next, x, bar, True), ca.jtimes(next, u, bar, True)]
@@ -234,6 +240,68 @@ def test_models_of_casadi_have_their_steps_and_derivatives(name):
     found = (task.step(*given[:2]), *task.step_vjp(*given)[:2])
     for a, b in zip(expected, found, strict=True):
         agree(np.array(a).T, b, 1e-12, scale=1.0)
+
+
+# Examples of CasADi that run within seconds and have a model of an own kind.
+SCRIPTS = (
+    "bouncing_ball direct_multiple_shooting implicit_runge-kutta multipoint_simulation race_car rocket "
+    "vdp_indirect_multiple_shooting".split()
+)
+
+
+def model_of_example(found):
+    """The step `F` or the rate of an example as a function of x and u."""
+    import casadi as ca
+
+    f = found["F"] if "xj" in found else found.get("f")
+    if isinstance(f, ca.Function):
+        return f.slice("f", [0, 1], [0])
+    if isinstance(f, types.FunctionType):
+        x, u = ca.SX.sym("x", 2), ca.SX.sym("u")
+        return ca.Function("f", [x, u], [f(x, u)])
+    x = found["dae"]["x"]
+    return ca.Function("f", [x, found["dae"].get("u", type(x).sym("u"))], [found["dae"]["ode"]])
+
+
+def run_example(variable, *path):
+    """The variables of a script in the folder that a variable of the environment names."""
+    folder = os.environ.get(variable)
+    if folder is None:
+        pytest.skip(f"{variable} does not name a folder of examples")
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed").use("Agg")
+    return runpy.run_path(os.path.join(folder, *path))
+
+
+@needs_casadi
+@needs_module
+@pytest.mark.parametrize("script", SCRIPTS)
+def test_examples_of_casadi_have_their_steps_and_derivatives(script):
+    found = run_example("PHYSGRAD_CASADI_EXAMPLES", f"{script}.py")
+    agrees_with_casadi("step" if script == "rocket" else "rate", model_of_example(found))
+
+
+@needs_casadi
+@needs_module
+@pytest.mark.parametrize(
+    "example",
+    "CSTR Lotka_Volterra batch_reactor dynamic_bicycle_model industrial_poly kinematic_bicycle_model "
+    "oscillating_masses_discrete triple_tank_ekf".split(),
+)
+def test_examples_of_do_mpc_have_their_steps_and_derivatives(example):
+    import casadi as ca
+
+    pytest.importorskip("do_mpc", reason="do-mpc is not installed")
+    model = run_example("PHYSGRAD_DO_MPC_EXAMPLES", example, "template_model.py")["template_model"]()
+    f = model._rhs_fun
+    x, u, *others = (ca.SX.sym(name, f.numel_in(i)) for i, name in enumerate(f.name_in()))
+    # The parameters, and values that vary over time.
+    rng = np.random.default_rng(5)
+    constants = [rng.uniform(0.5, 1.5, other.numel()) for other in others]
+    kind = "step" if model.model_type == "discrete" else "rate"
+    # Concentrations and temperatures are positive.
+    states, controls, bars = points(x.numel(), u.numel())
+    given = 0.5 + np.abs(states), 0.5 + np.abs(controls), bars
+    agrees_with_casadi(kind, ca.Function("f", [x, u], [f(x, u, *constants)]), given)
 
 
 @needs_jax

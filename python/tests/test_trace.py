@@ -542,6 +542,25 @@ def test_conditions_of_conditions_are_shared(function):
             assert all(map(same, expected, found)), (a, b)
 
 
+def of_1000_operations(x, u):
+    a, b = x
+    for _ in range(125):
+        a = a + 0.1 * np.sin(b) - 0.01 * a * b
+        b = b * a / 3.0
+    return [a, b + u[0]]
+
+
+def test_a_thousand_operations_are_traced_soon():
+    """The limit is several times what an idle machine needs."""
+    times = []
+    for _ in range(5):
+        begin = time.process_time()
+        found = trace.trace_settings(of_1000_operations, states=2, controls=1, dt=0.1)
+        times.append(time.process_time() - begin)
+    assert len(found["system"]["define"]) == 249
+    assert min(times) < 0.04, times
+
+
 def test_short_conditions_are_repeated():
     case = Case("rate", lambda x: np.where((x[0] > 0) ^ (x[1] > 1), x, -x), ["a", "b"])
     assert case.system["define"] == {"v1": "where((a > 0 or b > 1) and not (a > 0 and b > 1), 1, 0)"}

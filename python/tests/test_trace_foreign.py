@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 from equations import Case, close, trace
+from test_import import agree, needs_module
 
 
-def agrees(case, tolerance, scale=2.0, params=None):
+def agrees(case, tolerance, scale=2.0, params=None, count=50):
     rng = np.random.default_rng(5)
     n, m = len(case.states), len(case.controls)
-    for _ in range(50):
+    for _ in range(count):
         expected, found = case.both(
             rng.normal(0, scale, n), rng.normal(0, scale, m), rng.normal(0, scale, n), 0.3, params
         )
@@ -90,18 +91,29 @@ def test_the_angle_of_a_remainder_is_wrapped():
             trace.trace_settings(other, states=1, dt=0.1)
 
 
-# Plants of controlgym that multiply matrices: five of files, and three equations of waves and heat.
-PLANTS = ["toy", "ac1", "he1", "je1", "lah", "wave", "schrodinger", "convection_diffusion_reaction"]
+# All linear plants of controlgym: those of files, and three equations of waves and heat.
+FILES = (
+    "toy ac1 ac2 ac3 ac4 ac5 ac6 ac7 ac8 ac9 ac10 bdt1 bdt2 cbm cdp cm1 cm2 cm3 cm4 cm5 dis1 dis2 dlr "
+    "he1 he2 he3 he4 he5 he6 iss je1 je2 lah pas psm rea umv".split()
+)
+WAVES = ["wave", "schrodinger", "convection_diffusion_reaction"]
+# Dense matrices of 240 states and more have too many operations.
+TOO_LARGE = {
+    "cm4": "at most 500000 bytes",
+    "cbm": "more than 200000 operations",
+    "cm5": "more than 200000 operations",
+}
+PLANTS = [name for name in FILES if name not in TOO_LARGE]
 
 
 def plant(name):
     """An environment without noise, whose own `step` computes the next state."""
     controlgym = pytest.importorskip("controlgym", reason="controlgym is not installed")
-    of_waves = name in PLANTS[5:]
-    env = controlgym.make(name, **({"n_state": 16, "n_observation": 4, "n_action": 2} if of_waves else {}))
+    size = {"n_state": 16, "n_observation": 4, "n_action": 2} if name in WAVES else {}
+    env = controlgym.make(name, **size)
     # A documented hook. That of controlgym makes a `float`, and compares it with limits.
     env.get_reward = lambda *_: 0.0
-    quiet = {} if of_waves else {"disturbance": np.zeros(env.n_disturbance)}
+    quiet = {} if name in WAVES else {"disturbance": np.zeros(env.n_disturbance)}
 
     def step(x, u):
         env.state = x
@@ -111,20 +123,45 @@ def plant(name):
     return env, step
 
 
-@pytest.mark.parametrize("name", PLANTS)
+@pytest.mark.parametrize("name", PLANTS + WAVES)
 def test_plants_of_controlgym_by_their_own_step(name):
     env, step = plant(name)
-    agrees(Case("step", step, env.n_state, env.n_action), 1e-9)
+    agrees(Case("step", step, env.n_state, env.n_action), 1e-9, count=50 if env.n_state < 50 else 2)
 
 
-@pytest.mark.parametrize("name", PLANTS[:5])
+@needs_module
+@pytest.mark.parametrize("name", PLANTS)
+def test_derivatives_of_linear_plants_of_controlgym(name):
+    import physgrad as pg
+
+    env, step = plant(name)
+    task = pg.system(step=step, states=env.n_state, controls=env.n_action, dt=0.1)
+    rng = np.random.default_rng(5)
+    x, u, bar = (rng.normal(size=(20, n)) for n in (env.n_state, env.n_action, env.n_state))
+    expected = [step(*row) for row in zip(x, u, strict=True)], bar @ env.A, bar @ env.B2
+    for a, b in zip(expected, (task.step(x, u), *task.step_vjp(x, u, bar)[:2]), strict=True):
+        agree(a, b, 1e-12, scale=np.abs(a).max())
+
+
+@needs_module
+@pytest.mark.parametrize("name", TOO_LARGE)
+def test_plants_of_controlgym_with_too_many_operations_are_refused(name):
+    import physgrad as pg
+
+    env, step = plant(name)
+    with pytest.raises(ValueError, match=TOO_LARGE[name]):
+        pg.system(step=step, states=env.n_state, controls=env.n_action, dt=0.1)
+
+
+@pytest.mark.parametrize("name", PLANTS)
 def test_costs_of_linear_plants_of_controlgym(name):
     env, _ = plant(name)
 
     def cost(x, u):
         return x.T @ env.Q @ x + u.T @ env.R @ u + 2 * x.T @ env.S @ u
 
-    agrees(Case("running_cost", cost, env.n_state, env.n_action), 1e-9)
+    case = Case("running_cost", cost, env.n_state, env.n_action)
+    agrees(case, 1e-9, count=50 if env.n_state < 50 else 2)
 
 
 def test_plants_of_controlgym_by_fourier_transforms_are_refused():
