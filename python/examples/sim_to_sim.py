@@ -1,11 +1,13 @@
 """Trains a robot, and runs the policy in Gymnasium with MuJoCo.
 
-Usage: python sim_to_sim.py [PRESET ...] [--quick], with the presets of `ENVIRONMENTS`. Needs
+Usage: python sim_to_sim.py [PRESET ...] [--seed N] [--quick], with the presets of `ENVIRONMENTS`. Needs
 `gymnasium[mujoco]`. Presets `_run` train whole episodes by windows, in minutes, on the contacts of
 the file; the others train short rollouts on smooth contacts, in seconds.
 """
 
-import sys
+from __future__ import annotations
+
+import argparse
 
 import numpy as np
 
@@ -44,24 +46,40 @@ def evaluate(policy: pg.Policy, name: str, inputs: int, steps: int, episodes: in
     return np.array(returns), np.array(distances)
 
 
-def main() -> None:
-    names = [word for word in sys.argv[1:] if word in ENVIRONMENTS] or ["half_cheetah"]
-    quick = "--quick" in sys.argv
-    for name in names:
-        task = pg.task(name)
-        run = pg.train(task, epochs=2 if quick else task.epochs, progress=False)
-        policy = run.best_policy
-        stiff = task.replace(contacts="file")
-        losses = pg.losses(stiff, policy, stiff.starts(256, seed=1))
-        trained = run.history["test_loss"].min()
-        print(f"{name}: loss {trained:.3f} in training, {losses.mean():.3f} with the contacts of the file")
-        lengths = {task.horizon, min(4 * task.horizon, 1000), 1000}
-        for steps in (task.horizon,) if quick else sorted(lengths):
-            returns, distances = evaluate(policy, name, task.observation_dim, steps, 2 if quick else 10)
+def compare(name: str, seed: int, quick: bool) -> None:
+    """Trains a preset, and prints what the last and the best policy reach here and in MuJoCo."""
+    task = pg.task(name)
+    epochs, episodes = task.settings["epochs"], 10
+    lengths = sorted({task.horizon, min(4 * task.horizon, 1000), 1000})
+    if quick:
+        epochs, episodes, lengths = 2, 2, lengths[:1]
+    run = pg.train(task, epochs=epochs, seed=seed, progress=False)
+    stiff = task.replace(contacts="file")
+    starts = stiff.starts(256, seed=1)
+    for kind, policy in (("last", run.policy), ("best", run.best_policy)):
+        trained = run.history["test_loss"]
+        loss = trained[-1] if kind == "last" else trained.min()
+        on_file = pg.losses(stiff, policy, starts).mean()
+        print(f"{name}, {kind} policy: loss {loss:.3f} in training, {on_file:.3f} with the contacts of the file")
+        for steps in lengths:
+            returns, distances = evaluate(policy, name, task.observation_dim, steps, episodes)
             print(
                 f"{ENVIRONMENTS[name]}, {steps} steps: return {returns.mean():.1f} ± {returns.std():.1f}, "
                 f"distance {distances.mean():.2f} m"
             )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("presets", nargs="*", metavar="PRESET", help=", ".join(ENVIRONMENTS))
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--quick", action="store_true", help="2 epochs and 2 short episodes")
+    arguments = parser.parse_args()
+    unknown = set(arguments.presets) - set(ENVIRONMENTS)
+    if unknown:
+        parser.error(f"{', '.join(sorted(unknown))}; allowed: {', '.join(ENVIRONMENTS)}")
+    for name in arguments.presets or ["half_cheetah"]:
+        compare(name, arguments.seed, arguments.quick)
 
 
 if __name__ == "__main__":

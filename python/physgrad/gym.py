@@ -3,8 +3,8 @@
 ``pg.gym.make("cart_pole", poles=1)`` returns an ``Env``, ``pg.gym.make_vec("cart_pole", 16)`` a
 ``VectorEnv``, and ``pg.gym.make_sb3("cart_pole", 16)`` a ``VecEnv`` of Stable-Baselines3. One call of
 the physics steps all environments that have equal step numbers. After ``import physgrad.gym``, the
-ids ``physgrad/NAME-v0`` work with ``gymnasium.make`` and ``gymnasium.make_vec``; without an import,
-``physgrad.gym:physgrad/NAME-v0`` does.
+ids ``physgrad/NAME-v0`` of all presets, such as ``physgrad/half_cheetah_run-v0``, work with
+``gymnasium.make`` and ``gymnasium.make_vec``; without an import, ``physgrad.gym:physgrad/NAME-v0`` does.
 
 - An episode has ``horizon`` steps. The last step returns ``truncated``: observations contain no
   clock, so the end is no property of the last state. A task with a condition ``loss.end`` returns
@@ -24,6 +24,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import operator
+import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -51,6 +52,9 @@ def _opened(task: str | pg.Task, steps: int | None, settings: dict[str, Any]) ->
             raise ValueError(f"`max_episode_steps` is {steps}, but `horizon` is {other}; use one of them")
     if isinstance(task, pg.Task):
         return task.replace(**settings) if settings else task
+    id = re.fullmatch(r"(?:physgrad\.gym:)?physgrad/(.+)-v\d+", str(task))
+    if id is not None:
+        raise ValueError(f"`{task}` is an id for `gymnasium.make`; the name is `{id[1]}`")
     return pg.task(task, **settings)
 
 
@@ -598,7 +602,8 @@ make.metadata = TaskEnv.metadata
 
 
 def _register() -> None:
-    for name in _core.task_names():
+    # A task of the user's own crate has no preset.
+    for name in {*_core.task_names(), *pg.presets()}:
         gymnasium.register(
             f"physgrad/{name}-v0",
             entry_point="physgrad.gym:make",

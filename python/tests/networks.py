@@ -3,12 +3,14 @@
 import numpy as np
 import physgrad as pg
 
-# One task of each kind: terminal cost, running cost, parameters and step numbers, a delay.
+# One task of each kind: terminal cost, running cost, parameters and step numbers, a delay, and a robot with the
+# contacts of its file. Its policy has no bounds, as the networks of the tests have none.
 SCENES = {
     "terminal": ("cart_pole", {"poles": 2, "horizon": 12}),
     "running": ("guidance", {"horizon": 12}),
     "params": ("cart_pole", {"poles": 1, "horizon": 12, "effects": {"gusty_wind": {}}, "loss": {"mode": "running"}}),
     "delay": ("cart_pole", {"poles": 1, "horizon": 12, "settings": {"actuator.delay.steps": 2}}),
+    "robot": ("half_cheetah_run", {"horizon": 4, "policy": {"bounds": False}}),
 }
 
 

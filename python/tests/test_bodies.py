@@ -1,5 +1,6 @@
 """Robots from model files."""
 
+import os
 import pickle
 import textwrap
 
@@ -170,3 +171,10 @@ def test_every_command_of_python_accepts_bodies(swing):
     starts = swing.starts(2, seed=1)
     assert np.isfinite(pg.losses(swing, run.policy, starts)).all()
     assert np.isfinite(pg.optimize(swing, starts[0]).cost)
+
+
+@pytest.mark.skipif(os.environ.get("PHYSGRAD_PYTHON_ALL") != "1", reason="takes half a minute; set PHYSGRAD_PYTHON_ALL=1")
+def test_half_cheetah_reaches_the_loss_of_the_guide():
+    """Eight of the seeds 0 to 9 reach -1.2. Seed 1 has the largest margin, for processors that round otherwise."""
+    run = pg.train(pg.task("half_cheetah"), seed=1, threads=1, progress=False)
+    assert len(run.history["test_loss"]) == 60 and run.history["test_loss"].min() < -1.2

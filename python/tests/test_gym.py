@@ -1,5 +1,7 @@
 """Gymnasium environments."""
 
+import functools
+import multiprocessing
 import os
 import subprocess
 import sys
@@ -29,8 +31,8 @@ def warnings_are_errors():
         yield
 
 
-@pytest.mark.parametrize("name", sorted(pg._core.task_names()))
-def test_all_tasks_pass_the_checks(name):
+@pytest.mark.parametrize("name", sorted({*pg._core.task_names(), *pg.presets()}))
+def test_all_tasks_and_presets_pass_the_checks(name):
     assert pg.gym, "the import registers the environments"
     check_env(gymnasium.make(f"physgrad/{name}-v0").unwrapped)
 
@@ -283,6 +285,28 @@ def test_ids_need_no_import_with_the_name_of_the_module():
     )
     ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300)
     assert ran.stdout == "cart_pole 2\n", ran.stderr
+
+
+@pytest.mark.parametrize("context", ["spawn", "fork"])
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_environments_in_processes_of_gymnasium_are_those_of_one_process(context):
+    if context not in multiprocessing.get_all_start_methods():
+        pytest.skip(f"the system has no {context}")
+    task = pg.task("cart_pole", poles=1, horizon=4, effects={"gusty_wind": {}})
+    makers = [functools.partial(pg.gym.make, task, bound=bound) for bound in (5.0, 20.0)]
+    envs = gymnasium.vector.AsyncVectorEnv(makers, context=context)
+    own = gymnasium.vector.SyncVectorEnv(makers)
+    try:
+        np.testing.assert_array_equal(envs.reset(seed=7)[0], own.reset(seed=7)[0])
+        rng = np.random.default_rng(0)
+        for _ in range(10):
+            actions = rng.uniform(-1, 1, (2, 1)).astype(np.float32)
+            found, expected = envs.step(actions), own.step(actions)
+            for a, b in zip(found[:4], expected[:4], strict=True):
+                np.testing.assert_array_equal(a, b)
+        assert envs.get_attr("task") == (task, task)
+    finally:
+        envs.close()
 
 
 def length(env):

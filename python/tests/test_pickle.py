@@ -84,6 +84,33 @@ def test_environments_are_copied_with_their_state():
         assert first[1] == second[1]
 
 
+@pytest.mark.parametrize("make", [lambda: pg.gym.make(own()), lambda: pg.gym.make_vec(own(), 3)])
+def test_environments_are_equal_to_themselves_only_and_their_tasks_by_settings(make):
+    pytest.importorskip("gymnasium", reason="Gymnasium is not installed")
+    env, other = make(), make()
+    env.reset(seed=4)
+    for second in (other, copy.deepcopy(env), pickle.loads(pickle.dumps(env))):
+        assert env != second and len({env, second}) == 2 and [env, second].index(second) == 1
+        assert env.task == second.task and hash(env.task) == hash(second.task)
+    assert env == env and env.task != own().replace(horizon=11)
+
+
+def step_once(env):
+    """The task and the results of a step of an environment that comes from another process."""
+    return env.task, env.reset(seed=4)[0], env.step(np.full(env.action_space.shape, 0.3, np.float32))[:2]
+
+
+def test_environments_are_pickled_to_other_processes():
+    pytest.importorskip("gymnasium", reason="Gymnasium is not installed")
+    env = pg.gym.make(own())
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        task, y, (following, reward) = pool.submit(step_once, env).result()
+    expected = step_once(env)
+    assert task == expected[0] and reward == expected[2][1]
+    np.testing.assert_array_equal(y, expected[1])
+    np.testing.assert_array_equal(following, expected[2][0])
+
+
 def test_other_processes_compute_the_same():
     task = own()
     policies = [pg.Policy(task, seed=seed) for seed in range(3)]

@@ -1,5 +1,6 @@
 """Environments of Stable-Baselines3."""
 
+import functools
 import os
 
 import numpy as np
@@ -11,7 +12,7 @@ sb3 = pytest.importorskip("stable_baselines3", reason="stable-baselines3 is not 
 
 from gymnasium.vector import AutoresetMode  # noqa: E402
 from stable_baselines3.common.env_util import make_vec_env  # noqa: E402
-from stable_baselines3.common.vec_env import VecMonitor  # noqa: E402
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecMonitor  # noqa: E402
 
 slow = pytest.mark.skipif(
     os.environ.get("PHYSGRAD_PYTHON_ALL") != "1", reason="takes minutes; set PHYSGRAD_PYTHON_ALL=1"
@@ -71,6 +72,30 @@ def test_make_vec_env_creates_environments_by_their_ids():
         _, _, done, infos = envs.step(np.zeros((2, 1), np.float32))
     assert done.all() and all(info["TimeLimit.truncated"] for info in infos)
     assert envs.get_images()[0].dtype == np.uint8
+
+
+def test_environments_in_processes_are_those_of_one_process():
+    task = pg.task("cart_pole", poles=1, horizon=4, effects={"gusty_wind": {}})
+    makers = [functools.partial(pg.gym.make, task, bound=bound) for bound in (5.0, 20.0)]
+    envs, own = SubprocVecEnv(makers, start_method="spawn"), DummyVecEnv(makers)
+    try:
+        for vector in (envs, own):
+            vector.seed(7)
+        np.testing.assert_array_equal(envs.reset(), own.reset())
+        rng, ends = np.random.default_rng(0), 0
+        for _ in range(10):
+            actions = rng.uniform(-1, 1, (2, 1)).astype(np.float32)
+            (y, reward, done, infos), expected = envs.step(actions), own.step(actions)
+            for a, b in zip((y, reward, done), expected, strict=False):
+                np.testing.assert_array_equal(a, b)
+            for info, other in zip(infos, expected[3], strict=True):
+                assert info["TimeLimit.truncated"] == other["TimeLimit.truncated"]
+                if "terminal_observation" in other:
+                    np.testing.assert_array_equal(info["terminal_observation"], other["terminal_observation"])
+            ends += done.sum()
+        assert ends == 4 and envs.get_attr("task") == [task, task]
+    finally:
+        envs.close()
 
 
 def mean_loss(agent, task, starts):

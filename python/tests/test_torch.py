@@ -1,6 +1,9 @@
 """Steps, observations and costs in PyTorch."""
 
+import copy
 import gc
+import subprocess
+import sys
 
 import numpy as np
 import physgrad as pg
@@ -291,3 +294,55 @@ def test_a_graph_outlives_the_task():
     gc.collect()
     loss.backward()
     assert torch.isfinite(x.grad).all()
+
+
+class Controlled(torch.nn.Module):
+    """A network and the physics that it controls, over some steps."""
+
+    def __init__(self, of):
+        super().__init__()
+        self.network = torch.nn.Linear(of.observation_dim, of.control_dim, dtype=torch.float64)
+        self.step, self.observe = pg.torch.step(of), pg.torch.observe(of)
+        self.rollout = pg.torch.rollout(of)
+        self.transition = pg.torch.transition(of)
+
+    def forward(self, x, p):
+        first = self.network(self.observe(x, p))
+        x, _, cost = self.transition(self.step(x, first, p), first, p, 1)
+        controls = torch.stack([first, first], -2)
+        return self.rollout(controls, torch.cat([x, p], -1)).sum((-1, -2)) + cost
+
+
+def test_modules_with_physics_are_saved_and_loaded(tmp_path):
+    of = task("params").replace(horizon=2)
+    module = Controlled(of)
+    x, _, p = (tensor.detach() for tensor in batch(of))
+    torch.save(module, tmp_path / "module.pt")
+    torch.save(module.state_dict(), tmp_path / "state.pt")
+    whole = torch.load(tmp_path / "module.pt", weights_only=False)
+    other = Controlled(of)
+    assert not torch.equal(other(x, p), module(x, p)), "the weights of another module differ"
+    other.load_state_dict(torch.load(tmp_path / "state.pt"))
+    expected = torch.autograd.grad(module(x, p).sum(), list(module.parameters()))
+    for again in (whole, other, copy.deepcopy(module)):
+        assert again.step == module.step and again.rollout == module.rollout and again.step.task == of
+        assert torch.equal(again(x, p), module(x, p))
+        assert all(map(torch.equal, torch.autograd.grad(again(x, p).sum(), list(again.parameters())), expected))
+    # The weights of a copy are its own.
+    with torch.no_grad():
+        whole.network.bias += 1.0
+    assert not torch.equal(whole(x, p), module(x, p))
+
+
+def test_a_saved_module_needs_no_task_in_another_process(tmp_path):
+    of = task("params")
+    x, u, p = (tensor.detach() for tensor in batch(of))
+    torch.save((pg.torch.step(of), x, u, p), tmp_path / "step.pt")
+    program = (
+        "import sys, torch; step, x, u, p = torch.load(sys.argv[1], weights_only=False); "
+        "torch.save(step(x, u, p, 3), sys.argv[2])"
+    )
+    command = [sys.executable, "-c", program, tmp_path / "step.pt", tmp_path / "next.pt"]
+    ran = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert ran.returncode == 0, ran.stderr
+    assert torch.equal(torch.load(tmp_path / "next.pt"), pg.torch.step(of)(x, u, p, 3))
