@@ -2,6 +2,7 @@
 
 use crate::dynamics::cause::Cause;
 use crate::dynamics::dyn_task::DynTask;
+use crate::dynamics::forward::forward;
 use crate::dynamics::inputs::{Cotangents, Inputs, Start, Tangents, add};
 use crate::dynamics::number::Varied;
 use crate::dynamics::system::System;
@@ -184,13 +185,7 @@ impl Task for Ending {
         self
     }
 
-    fn horizon(&self) -> usize {
-        self.task.horizon()
-    }
-
-    fn param_dim(&self) -> usize {
-        self.task.param_dim()
-    }
+    forward!(Task of task: horizon, param_dim, control_bounds);
 
     fn start(&self, rng: &mut Rng, Start { x, p }: Start<'_>) {
         self.task.start(rng, Start { x: &mut x[..self.states], p });
@@ -198,10 +193,6 @@ impl Task for Ending {
 
     fn ended(&self) -> Option<usize> {
         Some(self.states)
-    }
-
-    fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
-        self.task.control_bounds()
     }
 
     fn observation_dim(&self) -> Option<usize> {

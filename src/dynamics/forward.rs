@@ -1,6 +1,6 @@
 //! [`forward`] and [`forward_model`]: methods of wrappers that those of an inner system define.
 
-/// Defines methods of `System` by the methods of equal name of the field `$inner`, a `$trait`.
+/// Defines methods of a trait by the methods of equal name of the field `$inner`, a `$trait`.
 macro_rules! forward {
     ($trait:ident of $inner:ident: $($method:ident),+) => {
         $($crate::dynamics::forward::forward!(@$method $trait $inner);)+
@@ -8,6 +8,16 @@ macro_rules! forward {
     (@varied $trait:ident $inner:ident) => {
         fn varied(&self, params: usize) -> Vec<$crate::dynamics::number::Varied> {
             $trait::varied(&self.$inner, params)
+        }
+    };
+    (@control_bounds $trait:ident $inner:ident) => {
+        fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
+            $trait::control_bounds(&self.$inner)
+        }
+    };
+    (@ended $trait:ident $inner:ident) => {
+        fn ended(&self) -> Option<usize> {
+            $trait::ended(&self.$inner)
         }
     };
     (@$dimension:ident $trait:ident $inner:ident) => {

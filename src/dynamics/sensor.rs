@@ -3,6 +3,7 @@
 
 use crate::dynamics::cause::Cause;
 use crate::dynamics::dyn_task::DynTask;
+use crate::dynamics::forward::forward;
 use crate::dynamics::inputs::{Cotangents, Inputs, Start, Tangents};
 use crate::dynamics::number::{Noise, Number, Numbers, Varied};
 use crate::dynamics::system::System;
@@ -378,9 +379,7 @@ impl Task for Sensed {
         self
     }
 
-    fn horizon(&self) -> usize {
-        self.task.horizon()
-    }
+    forward!(Task of task: horizon, control_bounds, ended);
 
     fn param_dim(&self) -> usize {
         System::param_dim(self)
@@ -388,14 +387,6 @@ impl Task for Sensed {
 
     fn start(&self, rng: &mut Rng, Start { x, p }: Start<'_>) {
         self.task.start(rng, Start { x: &mut x[..self.states], p: &mut p[..self.params] });
-    }
-
-    fn ended(&self) -> Option<usize> {
-        self.task.ended()
-    }
-
-    fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
-        self.task.control_bounds()
     }
 
     fn observation_dim(&self) -> Option<usize> {

@@ -5,6 +5,7 @@ use super::parts::Parts;
 use super::quantities::{Quantities, RecordedQuantities};
 use super::reader::{Reader, Vocabulary};
 use crate::dynamics::dyn_task::{DynSystem, DynTask};
+use crate::dynamics::forward::forward;
 use crate::dynamics::inputs::{Cotangents, Inputs, Start};
 use crate::dynamics::task::Task;
 use crate::numbers::rng::Rng;
@@ -135,20 +136,10 @@ impl Task for Replaced {
         self.task.system()
     }
 
-    fn horizon(&self) -> usize {
-        self.task.horizon()
-    }
-
-    fn param_dim(&self) -> usize {
-        self.task.param_dim()
-    }
+    forward!(Task of task: horizon, param_dim, control_bounds);
 
     fn start(&self, rng: &mut Rng, start: Start<'_>) {
         self.task.start(rng, start);
-    }
-
-    fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
-        self.task.control_bounds()
     }
 
     fn can_end(&self) -> bool {

@@ -4,6 +4,7 @@ use super::episodes::Windows;
 use crate::dynamics::cause::Cause;
 use crate::dynamics::default_vjp::{Add, Function, default_vjp};
 use crate::dynamics::dyn_task::DynTask;
+use crate::dynamics::forward::forward;
 use crate::dynamics::inputs::{Cotangents, Inputs, Start, Tangents, add};
 use crate::dynamics::number::{Noise, Number, Varied};
 use crate::dynamics::system::System;
@@ -243,6 +244,8 @@ impl Task for Window {
         self
     }
 
+    forward!(Task of task: control_bounds, ended);
+
     fn horizon(&self) -> usize {
         self.steps
     }
@@ -255,16 +258,8 @@ impl Task for Window {
         self.task.start(rng, Start { x, p: &mut p[..self.params] });
     }
 
-    fn ended(&self) -> Option<usize> {
-        self.task.ended()
-    }
-
     fn first_step(&self) -> usize {
         self.origin
-    }
-
-    fn control_bounds(&self) -> Option<Vec<[f64; 2]>> {
-        self.task.control_bounds()
     }
 
     fn observation_dim(&self) -> Option<usize> {
