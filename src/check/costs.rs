@@ -1,7 +1,7 @@
 //! Check of the costs and of the observation of a task.
 
 use super::oracle::pulled_back;
-use super::visited::Step;
+use super::visited::VisitedStep;
 use super::{CASES, Comparison, Failure, Mismatch, ONE_STEP, Passed, normal};
 use crate::dynamics::inputs::{Cotangents, Inputs, Start};
 use crate::dynamics::system::System;
@@ -41,7 +41,13 @@ fn check<T: Task>(task: &T) -> Result<Passed, Mismatch> {
         let next: Vec<f64> = x.iter().zip(noise).map(|(x, noise)| x + 0.1 * noise).collect();
         // Steps over the whole horizon: costs may depend on the step number.
         let t = case as usize * task.horizon().saturating_sub(1) / (CASES as usize - 1);
-        check_at(task, &Step { x, u, p, next, t }, "near an initial state", &mut rng, &mut c)?;
+        check_at(
+            task,
+            &VisitedStep { x, u, p, next, t },
+            "near an initial state",
+            &mut rng,
+            &mut c,
+        )?;
     }
     Ok(c.passed)
 }
@@ -49,7 +55,7 @@ fn check<T: Task>(task: &T) -> Result<Passed, Mismatch> {
 /// Checks the costs and the observation at one step. `place` describes the step in messages.
 pub(super) fn check_at<T: Task>(
     task: &T,
-    Step { x, u, p, next, t }: &Step,
+    VisitedStep { x, u, p, next, t }: &VisitedStep,
     place: &str,
     rng: &mut Rng,
     c: &mut Comparison,

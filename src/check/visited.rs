@@ -36,7 +36,7 @@ impl Sample {
 }
 
 /// One step of a rollout, or a step between two of them.
-pub(super) struct Step {
+pub(super) struct VisitedStep {
     pub(super) x: Vec<f64>,
     pub(super) u: Vec<f64>,
     pub(super) p: Vec<f64>,
@@ -87,7 +87,7 @@ impl Visited {
 
     /// Draws a step between two steps of rollouts: state, control and next state. Parameters and
     /// number of the step are those of the first one. With `share` 0, the step is the first one.
-    fn draw(&self, rng: &mut Rng, share: f64) -> Step {
+    fn draw(&self, rng: &mut Rng, share: f64) -> VisitedStep {
         let mut one = || {
             let sample = &self.samples[rng.random_range(0..self.samples.len())];
             (sample, rng.random_range(0..sample.u.len()))
@@ -95,7 +95,7 @@ impl Visited {
         let ((a, t), (b, other)) = (one(), one());
         let mixed =
             |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a + share * (b - a)).collect();
-        Step {
+        VisitedStep {
             x: mixed(&a.x[t], &b.x[other]),
             u: mixed(&a.u[t], &b.u[other]),
             next: mixed(&a.x[t + 1], &b.x[other + 1]),
@@ -105,7 +105,11 @@ impl Visited {
     }
 
     /// Draws a step at which `is_valid` holds: between two steps of rollouts, otherwise one of them.
-    pub(super) fn draw_valid(&self, rng: &mut Rng, is_valid: impl Fn(&Step) -> bool) -> Step {
+    pub(super) fn draw_valid(
+        &self,
+        rng: &mut Rng,
+        is_valid: impl Fn(&VisitedStep) -> bool,
+    ) -> VisitedStep {
         let mut same = rng.clone();
         let share = rng.random_range(0.0..0.5);
         let step = self.draw(rng, share);
@@ -152,7 +156,7 @@ fn check_system<T: Task, P: Policy>(
 ) -> Result<Passed, Finding> {
     let visited = Visited::near(task, policy, theta)?;
     let system = task.system();
-    let is_finite = |step: &Step| {
+    let is_finite = |step: &VisitedStep| {
         let mut next = vec![0.0; step.x.len()];
         AnySystem::<f64>::step(
             system,
@@ -194,7 +198,7 @@ fn check_costs<T: Task, P: Policy>(
     theta: Option<&[f64]>,
 ) -> Result<Passed, Finding> {
     let visited = Visited::near(task, policy, theta)?;
-    let is_finite = |Step { x, u, p, next, t }: &Step| {
+    let is_finite = |VisitedStep { x, u, p, next, t }: &VisitedStep| {
         let mut y = vec![0.0; task.observation_dim().unwrap_or(0)];
         if !y.is_empty() {
             task.observe(Inputs { x, u: &[], p, t: *t }, &mut y);

@@ -26,13 +26,13 @@ pub fn outline<T: Scalar>(work: impl Vectorized) {
 }
 
 /// Outlined [`System::step`], to be run by [`outline`].
-pub(crate) struct Step<'a, S, T> {
+pub(crate) struct OutlinedStep<'a, S, T> {
     pub(crate) system: &'a S,
     pub(crate) inputs: Inputs<'a, T>,
     pub(crate) next: &'a mut [T],
 }
 
-impl<S: System, T: Scalar> Vectorized for Step<'_, S, T> {
+impl<S: System, T: Scalar> Vectorized for OutlinedStep<'_, S, T> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         self.system.step(self.inputs, self.next);
@@ -65,14 +65,14 @@ pub(crate) fn vjp<S: System + ?Sized, R: Real>(
 pub(crate) type One<F> = CotangentPack<F, 1>;
 
 /// Outlined [`System::vjp`], to be run by [`outline`].
-pub(crate) struct Reverse<'a, S, R, C> {
+pub(crate) struct OutlinedVjp<'a, S, R, C> {
     pub(crate) system: &'a S,
     pub(crate) inputs: Inputs<'a, R>,
     pub(crate) next_bar: &'a [C],
     pub(crate) cotangents: Cotangents<'a, C>,
 }
 
-impl<S: System, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, S, R, C> {
+impl<S: System, R: Real, C: Cotangent<R>> Vectorized for OutlinedVjp<'_, S, R, C> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         let Self { system, inputs, next_bar, cotangents } = self;

@@ -93,12 +93,12 @@ pub trait System: Send + Sync {
 }
 
 /// [`System::step`] as a function of state, control and parameters.
-struct Step<'a, S: ?Sized> {
+struct StepFunction<'a, S: ?Sized> {
     system: &'a S,
     t: usize,
 }
 
-impl<S: System + ?Sized, R> Function<R, 3> for Step<'_, S> {
+impl<S: System + ?Sized, R> Function<R, 3> for StepFunction<'_, S> {
     #[inline(always)]
     fn eval<T: Over<R>>(&self, [x, u, p]: [&[T]; 3], next: &mut [T]) {
         self.system.step(Inputs { x, u, p, t: self.t }, next);
@@ -114,7 +114,7 @@ pub(crate) fn step_vjp<S: System + ?Sized, R: Real, C: Cotangent<R>>(
     cotangents: Cotangents<'_, C>,
 ) {
     default_vjp(
-        &Step { system, t: inputs.t },
+        &StepFunction { system, t: inputs.t },
         inputs.lists(),
         next_bar,
         cotangents.lists(),

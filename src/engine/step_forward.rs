@@ -27,12 +27,12 @@ impl<T: Task, F: Float> StepForward<F> for T {
         costs: &mut [Lane<F>],
     ) -> bool {
         let mut finite = true;
-        dispatch_lanes(Step { task: self, inputs, next, costs, finite: &mut finite });
+        dispatch_lanes(ForwardStep { task: self, inputs, next, costs, finite: &mut finite });
         finite
     }
 }
 
-struct Step<'a, T, F: Float> {
+struct ForwardStep<'a, T, F: Float> {
     task: &'a T,
     /// Inputs of all blocks, concatenated.
     inputs: Inputs<'a, Lane<F>>,
@@ -54,7 +54,7 @@ fn advance<T: Task, R: Real>(task: &T, inputs: Inputs<'_, R>, next: &mut [R]) ->
     )
 }
 
-impl<T: Task, F: Float> Vectorized for Step<'_, T, F> {
+impl<T: Task, F: Float> Vectorized for ForwardStep<'_, T, F> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         let Self { task, inputs: Inputs { x, u, p, t }, next, costs, finite } = self;

@@ -86,7 +86,7 @@ pub(super) fn bars(graph: &Graph, adjoint: &Adjoint) -> Result<Bars, TooLarge> {
             BarOp::MulAdd(sum, a, _) => (BarCode::MulAdd, [a, NONE, sum, NONE]),
             BarOp::MulSub(sum, a, _) => (BarCode::MulSub, [a, NONE, sum, NONE]),
         };
-        Some(Step { code, args, results: [i as Bar, NONE], fixed: slope(op.slope()) })
+        Some(Instruction { code, args, results: [i as Bar, NONE], fixed: slope(op.slope()) })
     });
     let steps = grouped(steps.collect(), adjoint.ops.len());
     let allocated = allocate(&steps, adjoint.ops.len(), &outputs, &roots)?;
@@ -109,7 +109,7 @@ const UNREAD: u32 = u32::MAX - 1;
 
 /// An instruction on numbers or cotangents, before registers are allocated.
 #[derive(Clone, Copy, Debug)]
-struct Step<Code> {
+struct Instruction<Code> {
     code: Code,
     /// Operands `a`, `b`, `c` and `e`.
     args: [u32; 4],
@@ -119,7 +119,7 @@ struct Step<Code> {
     fixed: u16,
 }
 
-impl<Code> Step<Code> {
+impl<Code> Instruction<Code> {
     fn args(&self) -> impl Iterator<Item = usize> + use<Code> {
         self.args.into_iter().filter(|&arg| arg != NONE).map(|arg| arg as usize)
     }
@@ -135,7 +135,7 @@ struct Emitter<'a> {
     /// Number of needed operations that read each number. Outputs count twice.
     readers: Vec<u32>,
     done: Vec<bool>,
-    steps: Vec<Step<NumberCode>>,
+    steps: Vec<Instruction<NumberCode>>,
 }
 
 impl<'a> Emitter<'a> {
@@ -213,7 +213,7 @@ impl<'a> Emitter<'a> {
                     }
                     _ => [id, NONE],
                 };
-                let step = Step { code, args, results, fixed: 0 };
+                let step = Instruction { code, args, results, fixed: 0 };
                 step.results().for_each(|result| self.done[result] = true);
                 self.steps.push(step);
             }
@@ -253,7 +253,10 @@ fn plain(op: Op) -> NumberCode {
 
 /// Changes the order so that equal instructions follow each other, within a window of the given
 /// order. Operands still precede results. `count` is the number of numbers.
-fn grouped<Code: Copy + PartialEq>(steps: Vec<Step<Code>>, count: usize) -> Vec<Step<Code>> {
+fn grouped<Code: Copy + PartialEq>(
+    steps: Vec<Instruction<Code>>,
+    count: usize,
+) -> Vec<Instruction<Code>> {
     let mut written_by = vec![usize::MAX; count];
     let mut kinds: Vec<Code> = Vec::new();
     let mut followers: Vec<Vec<usize>> = vec![Vec::new(); steps.len()];
@@ -331,7 +334,7 @@ impl Pool {
 /// Assigns registers. The `pinned` numbers have the first ones, and keep them. A register is free
 /// again after the last instruction that reads it, unless it is that of an output.
 fn allocate<Code: Copy>(
-    steps: &[Step<Code>],
+    steps: &[Instruction<Code>],
     count: usize,
     pinned: &[u32],
     outputs: &[u32],

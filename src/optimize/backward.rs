@@ -1,4 +1,4 @@
-//! [`Step`]: gains and changes of the controls, from a backward pass over the expansion of a
+//! [`BackwardStep`]: gains and changes of the controls, from a backward pass over the expansion of a
 //! trajectory.
 
 use super::box_qp::BoxQp;
@@ -7,7 +7,7 @@ use super::options::Bounds;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 /// Gains, changes of the controls, and predicted decrease of the cost.
-pub(super) struct Step {
+pub(super) struct BackwardStep {
     /// Changes of the controls, `[step]`.
     pub(super) changes: Vec<DVector<f64>>,
     /// Gains of the deviations of the state, `[step]`, each `control_dim × state_dim`.
@@ -16,7 +16,7 @@ pub(super) struct Step {
     model: [f64; 2],
 }
 
-impl Step {
+impl BackwardStep {
     /// Decrease of the cost for a fraction `size` of the change, by the quadratic model.
     pub(super) fn predicted(&self, size: f64) -> f64 {
         -size * (self.model[0] + 0.5 * size * self.model[1])
@@ -49,7 +49,7 @@ pub(super) fn backward(
     u: &[f64],
     bounds: &Bounds,
     regularization: f64,
-) -> Option<Step> {
+) -> Option<BackwardStep> {
     let steps = expansion.steps.len();
     let (mut value, mut value_hessian) = (expansion.gradient.clone(), expansion.hessian.clone());
     let n = value.len();
@@ -91,7 +91,7 @@ pub(super) fn backward(
     }
     all_changes.reverse();
     gains.reverse();
-    Some(Step { changes: all_changes, gains, model })
+    Some(BackwardStep { changes: all_changes, gains, model })
 }
 
 /// Returns the symmetric matrix with the eigenvectors of `matrix` and the absolute values of its

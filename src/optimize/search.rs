@@ -1,7 +1,7 @@
 //! [`Search`]: iterations of backward pass, line search and regularization.
 
 use super::OptimizeError;
-use super::backward::{Step, backward};
+use super::backward::{BackwardStep, backward};
 use super::derivatives::Expansion;
 use super::options::{Bounds, Options};
 use super::plan::{Plan, Stop};
@@ -128,7 +128,7 @@ impl<'a> Search<'a> {
     }
 
     /// Returns the first trajectory along the step with a sufficient decrease of the cost.
-    fn line_search(&mut self, step: &Step) -> Option<Trajectory> {
+    fn line_search(&mut self, step: &BackwardStep) -> Option<Trajectory> {
         let (n, m) = (self.problem.n, self.problem.m);
         for size in (0..SIZES).map(|k| 0.5f64.powi(k)) {
             let Trajectory { x: old_x, u: old_u, .. } = &self.best;

@@ -4,7 +4,7 @@
 
 use super::average::average_direction;
 use super::episodes::{Episodes, EpisodesState, Windows};
-use super::record::{Means, Record, Skip, Step};
+use super::record::{Means, Record, Skip, UpdateStep};
 use super::smoothing::Estimates;
 use super::{Begin, TrainError, Training};
 use crate::dynamics::number::key_of_epoch;
@@ -327,7 +327,7 @@ impl<F: Float> State<F> {
     }
 
     /// Adds an applied update to the statistics of the epoch.
-    fn count(&mut self, epoch: &mut Epoch, step: &Step) {
+    fn count(&mut self, epoch: &mut Epoch, step: &UpdateStep) {
         if epoch.means.is_empty() {
             epoch.means.growths = [Flow::REGULAR, Flow::MODIFIED].map(|flow| self.growth(flow));
         }
@@ -433,7 +433,7 @@ impl<F: Float> State<F> {
     }
 
     /// Performs one update with mini-batch `index` of the epoch.
-    fn update(&mut self, problem: Problem<'_, F>, index: usize) -> Result<Step, Divergence> {
+    fn update(&mut self, problem: Problem<'_, F>, index: usize) -> Result<UpdateStep, Divergence> {
         self.select_batch(problem.task, index);
         let update = self.records.len() * self.updates_per_epoch() + index;
         self.previous_direction.copy_from_slice(&self.direction);
@@ -514,7 +514,7 @@ impl<F: Float> State<F> {
     ///
     /// # Errors
     /// [`Divergence`] if a number is non-finite, or the vector is too large for the optimizer.
-    fn vector(&mut self, problem: Problem<'_, F>, update: usize) -> Result<Step, Divergence> {
+    fn vector(&mut self, problem: Problem<'_, F>, update: usize) -> Result<UpdateStep, Divergence> {
         let step = match self.training.smoothing {
             None => self.field(problem)?,
             Some(smoothing) => self.estimate(problem, smoothing, update)?,
@@ -527,7 +527,7 @@ impl<F: Float> State<F> {
     pub(super) fn field(
         &mut self,
         Problem { task, policy, field }: Problem<'_, F>,
-    ) -> Result<Step, Divergence> {
+    ) -> Result<UpdateStep, Divergence> {
         let task = self.episodes.as_ref().map_or(task, |episodes| &episodes.window);
         let loss = self.batch.run(task, policy, &self.weights, &self.starts)?;
         if let Some(episodes) = &self.episodes {
@@ -542,9 +542,9 @@ impl<F: Float> State<F> {
     pub(super) fn loss(
         &mut self,
         Problem { task, policy, .. }: Problem<'_, F>,
-    ) -> Result<Step, Divergence> {
+    ) -> Result<UpdateStep, Divergence> {
         let loss = self.evaluation.run(task, policy, &self.weights, &self.starts)?;
-        Ok(Step { loss, ..Step::default() })
+        Ok(UpdateStep { loss, ..UpdateStep::default() })
     }
 
     /// Learning rate of update number `update`, counted from 0 over the whole training.
@@ -583,7 +583,7 @@ impl<F: Float> State<F> {
     }
 
     /// Combines the gradients of the mini-batch into the vector of the field.
-    fn combine(&mut self, field: &dyn AnyField<F>, loss: f64) -> Result<Step, Divergence> {
+    fn combine(&mut self, field: &dyn AnyField<F>, loss: f64) -> Result<UpdateStep, Divergence> {
         let gradients = self.batch.gradients();
         let level = SimdLevel::best();
         let (first, second) = (gradients[0].values(), gradients[gradients.len() - 1].values());
@@ -614,7 +614,7 @@ impl<F: Float> State<F> {
             first_square.sqrt()
         };
         let zero = F::zero();
-        Ok(Step {
+        Ok(UpdateStep {
             loss,
             norm: ExtendedF64::new(size, self.combined.exponent()),
             cosine: two.then(|| {

@@ -300,11 +300,14 @@ impl<F: Float> Optimizer<F> {
             gradient.len()
         );
         self.steps += 1;
-        dispatch(SimdLevel::best(), Step { optimizer: self, rate: learning_rate, theta, gradient });
+        dispatch(
+            SimdLevel::best(),
+            OptimizerStep { optimizer: self, rate: learning_rate, theta, gradient },
+        );
     }
 }
 
-struct Step<'a, F> {
+struct OptimizerStep<'a, F> {
     optimizer: &'a mut Optimizer<F>,
     /// Learning rate of this step.
     rate: f64,
@@ -312,7 +315,7 @@ struct Step<'a, F> {
     gradient: &'a [F],
 }
 
-impl<F: Float> Vectorized for Step<'_, F> {
+impl<F: Float> Vectorized for OptimizerStep<'_, F> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         let Optimizer { rule, steps, first, second, .. } = self.optimizer;

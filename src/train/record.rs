@@ -104,7 +104,7 @@ pub struct Skip {
 
 /// Results of one update, or of one evaluation of a mini-batch.
 #[derive(Default)]
-pub(super) struct Step {
+pub(super) struct UpdateStep {
     pub loss: f64,
     pub norm: ExtendedF64,
     pub cosine: Option<f64>,
@@ -136,7 +136,7 @@ impl Means {
         self.updates == 0
     }
 
-    pub fn add(&mut self, step: &Step) {
+    pub fn add(&mut self, step: &UpdateStep) {
         self.updates += 1;
         self.loss += step.loss;
         self.norm = self.norm + step.norm;
@@ -146,10 +146,10 @@ impl Means {
     }
 
     /// Means over the updates or evaluations.
-    pub fn step(&self) -> Step {
+    pub fn step(&self) -> UpdateStep {
         // NaN without applied updates.
         let mean = |sum: f64| sum / self.updates as f64;
-        Step {
+        UpdateStep {
             loss: mean(self.loss),
             norm: self.norm / self.updates as f64,
             cosine: self.cosine.map(mean),
@@ -166,7 +166,7 @@ impl Means {
         skipped: usize,
         seconds: f64,
     ) -> Record {
-        let Step { loss, norm, cosine, kept, first_order } = self.step();
+        let UpdateStep { loss, norm, cosine, kept, first_order } = self.step();
         Record {
             epoch,
             loss,

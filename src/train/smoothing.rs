@@ -4,7 +4,7 @@
 //! field, differences of losses, or both. The field needs derivatives; the differences need none.
 
 use super::epoch::{Problem, State};
-use super::record::{Means, Step};
+use super::record::{Means, UpdateStep};
 use crate::engine::divergence::Divergence;
 use crate::numbers::extended::scaled;
 use crate::numbers::rng::{Purpose, stream};
@@ -175,7 +175,7 @@ impl<F: Float> State<F> {
         problem: Problem<'_, F>,
         smoothing: Smoothing,
         update: usize,
-    ) -> Result<Step, Divergence> {
+    ) -> Result<UpdateStep, Divergence> {
         let mut estimates =
             self.estimates.take().expect("a training with smoothing has a workspace");
         estimates.center.copy_from_slice(self.weights.theta());
@@ -191,7 +191,7 @@ impl<F: Float> State<F> {
         self.combined.set(&estimates.field);
         self.estimates = Some(estimates);
         let means = outcome?;
-        Ok(Step { norm: self.combined.norm(), first_order: Some(weight), ..means.step() })
+        Ok(UpdateStep { norm: self.combined.norm(), first_order: Some(weight), ..means.step() })
     }
 
     /// Evaluates all pairs and adds them to the moments.

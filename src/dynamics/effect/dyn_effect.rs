@@ -64,7 +64,7 @@ trait AnyEffect<B>: Debug + Send + Sync {
     fn state_dependent(&self) -> bool;
     /// Writes the pointer of [`Forces`] for the scalar of `slot`.
     fn add_forces(&self, slot: &mut dyn Any);
-    /// Writes the pointer of [`Reverse`] for the scalar and the cotangent of `slot`.
+    /// Writes the pointer of [`EffectVjp`] for the scalar and the cotangent of `slot`.
     fn vjp(&self, slot: &mut dyn Any);
     /// Writes the pointer of [`Diagnose`] for the scalar of `slot`.
     fn diagnose(&self, slot: &mut dyn Any);
@@ -93,7 +93,7 @@ impl<B: 'static, E: Effect<B> + 'static> AnyEffect<B> for E {
         scalar_pointer_of_effect::<Forces<E, B>>(slot);
     }
     fn vjp(&self, slot: &mut dyn Any) {
-        cotangent_pointer::<Reverse<E, B>>(slot);
+        cotangent_pointer::<EffectVjp<E, B>>(slot);
     }
     fn diagnose(&self, slot: &mut dyn Any) {
         diagnosis_pointer::<Diagnose<E, B>>(slot);
@@ -124,9 +124,9 @@ impl<B: 'static, E: Effect<B> + 'static> ScalarFunction for Forces<E, B> {
 }
 
 /// Outlined [`Effect::vjp`] of the effect `E`.
-struct Reverse<E, B>(PhantomData<(E, B)>);
+struct EffectVjp<E, B>(PhantomData<(E, B)>);
 
-impl<B: 'static, E: Effect<B> + 'static> CotangentFunction for Reverse<E, B> {
+impl<B: 'static, E: Effect<B> + 'static> CotangentFunction for EffectVjp<E, B> {
     type Pointer<R: Real, C: Cotangent<R>> = VjpOf<B, R, C>;
 
     fn pointer<R: Real, C: Cotangent<R>>() -> Self::Pointer<R, C> {

@@ -108,7 +108,7 @@ impl<I: Integrator, T: Scalar> Vectorized for Advance<'_, I, T> {
 }
 
 /// Outlined [`Integrator::vjp`].
-struct Reverse<'a, I, R, C> {
+struct IntegratorVjp<'a, I, R, C> {
     method: &'a I,
     ode: &'a dyn DynOdeVjp<R, C>,
     dt: f64,
@@ -117,7 +117,7 @@ struct Reverse<'a, I, R, C> {
     cotangents: Cotangents<'a, C>,
 }
 
-impl<I: Integrator, R: Real, C: Cotangent<R>> Vectorized for Reverse<'_, I, R, C> {
+impl<I: Integrator, R: Real, C: Cotangent<R>> Vectorized for IntegratorVjp<'_, I, R, C> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         let Self { method, ode, dt, inputs, next_bar, cotangents } = self;
@@ -170,22 +170,22 @@ impl Integrator for AnyIntegrator {
     ) {
         match self {
             Self::RungeKutta(method) => {
-                outline::<R>(Reverse { method, ode, dt, inputs, next_bar, cotangents })
+                outline::<R>(IntegratorVjp { method, ode, dt, inputs, next_bar, cotangents })
             }
             Self::SemiImplicit(method) => {
-                outline::<R>(Reverse { method, ode, dt, inputs, next_bar, cotangents })
+                outline::<R>(IntegratorVjp { method, ode, dt, inputs, next_bar, cotangents })
             }
             Self::Verlet(method) => {
-                outline::<R>(Reverse { method, ode, dt, inputs, next_bar, cotangents })
+                outline::<R>(IntegratorVjp { method, ode, dt, inputs, next_bar, cotangents })
             }
             Self::Adaptive(method) => {
-                outline::<R>(Reverse { method, ode, dt, inputs, next_bar, cotangents })
+                outline::<R>(IntegratorVjp { method, ode, dt, inputs, next_bar, cotangents })
             }
             Self::ImplicitMidpoint(method) => {
-                outline::<R>(Reverse { method, ode, dt, inputs, next_bar, cotangents })
+                outline::<R>(IntegratorVjp { method, ode, dt, inputs, next_bar, cotangents })
             }
             Self::Sdirk2(method) => {
-                outline::<R>(Reverse { method, ode, dt, inputs, next_bar, cotangents })
+                outline::<R>(IntegratorVjp { method, ode, dt, inputs, next_bar, cotangents })
             }
         }
     }

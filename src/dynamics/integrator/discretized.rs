@@ -7,7 +7,7 @@ use crate::dynamics::effect::HasModel;
 use crate::dynamics::forward::{forward, forward_model};
 use crate::dynamics::inputs::{Cotangents, Inputs};
 use crate::dynamics::ode::Ode;
-use crate::dynamics::outline::{Reverse, Step, outline};
+use crate::dynamics::outline::{OutlinedStep, OutlinedVjp, outline};
 use crate::dynamics::system::System;
 use crate::numbers::scalar::{Cotangent, Real, Scalar};
 
@@ -28,7 +28,7 @@ impl<S: System + Ode> System for Discretized<S> {
     #[inline(always)]
     fn step<T: Scalar>(&self, inputs: Inputs<'_, T>, next: &mut [T]) {
         match &self.integrator {
-            None => outline::<T>(Step { system: &self.system, inputs, next }),
+            None => outline::<T>(OutlinedStep { system: &self.system, inputs, next }),
             Some(integrator) => integrator.advance(&Outlined(&self.system), self.dt, inputs, next),
         }
     }
@@ -41,7 +41,9 @@ impl<S: System + Ode> System for Discretized<S> {
         cotangents: Cotangents<'_, C>,
     ) {
         match &self.integrator {
-            None => outline::<R>(Reverse { system: &self.system, inputs, next_bar, cotangents }),
+            None => {
+                outline::<R>(OutlinedVjp { system: &self.system, inputs, next_bar, cotangents })
+            }
             Some(integrator) => {
                 integrator.vjp(&Outlined(&self.system), self.dt, inputs, next_bar, cotangents)
             }

@@ -9,7 +9,7 @@ use crate::numbers::scalar::{CotangentPack, Real, Scalar};
 use crate::numbers::zip::zip;
 
 /// Inputs and outputs of one step of the recursion, for one block of samples.
-pub(super) struct Step<'a, R, const K: usize> {
+pub(super) struct BlockStep<'a, R, const K: usize> {
     /// Inputs `x_t`, `u_t`, `p`, `t`.
     pub(super) inputs: Inputs<'a, R>,
     /// Next state `x_{t+1}`.
@@ -45,10 +45,20 @@ pub(super) struct Step<'a, R, const K: usize> {
 pub(super) fn reverse_step<T: Task, R: Real, const K: usize>(
     task: &T,
     flows: [Flow; K],
-    step: Step<'_, R, K>,
+    step: BlockStep<'_, R, K>,
 ) -> CotangentPack<R, K> {
-    let Step { inputs, next, lambda, x_bar, u_bar, mut p_bar, memory_bar, cost, is_given, inject } =
-        step;
+    let BlockStep {
+        inputs,
+        next,
+        lambda,
+        x_bar,
+        u_bar,
+        mut p_bar,
+        memory_bar,
+        cost,
+        is_given,
+        inject,
+    } = step;
     let mut size = CotangentPack([R::zero(); K]);
 
     if !is_given {

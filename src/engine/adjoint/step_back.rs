@@ -1,7 +1,7 @@
 //! [`reverse_step`] for all samples, one block of lanes at a time.
 
 use super::exponents::Limits;
-use super::reverse_step::{Step, reverse_step};
+use super::reverse_step::{BlockStep, reverse_step};
 use super::state::Recursion;
 use crate::dynamics::task::Task;
 use crate::engine::flow::Flow;
@@ -60,7 +60,7 @@ impl<T: Task, F: Float, const K: usize> Vectorized for Back<'_, T, F, K> {
             if let Some(given) = &r.given {
                 given.write(t, block, &mut r.cost);
             }
-            let step = Step {
+            let step = BlockStep {
                 inputs: rollout.inputs_of(t, block),
                 next: &next[of_state.clone()],
                 lambda: &mut r.lambda[of_state.clone()],

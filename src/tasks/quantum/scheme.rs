@@ -29,14 +29,14 @@ pub enum QuantumScheme {
 }
 
 /// Outlined step of a scheme.
-struct Step<'a, H, E, T> {
+struct SchemeStep<'a, H, E, T> {
     system: &'a H,
     effects: &'a E,
     inputs: Inputs<'a, T>,
     next: &'a mut [T],
 }
 
-impl<H: ForcedSystem, E: Effect<H::Model>, T: Scalar> Vectorized for Step<'_, H, E, T> {
+impl<H: ForcedSystem, E: Effect<H::Model>, T: Scalar> Vectorized for SchemeStep<'_, H, E, T> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         self.system.forced_step(self.effects, self.inputs, self.next);
@@ -44,7 +44,7 @@ impl<H: ForcedSystem, E: Effect<H::Model>, T: Scalar> Vectorized for Step<'_, H,
 }
 
 /// Outlined reverse step of a scheme.
-struct Reverse<'a, H, E, R, C> {
+struct SchemeVjp<'a, H, E, R, C> {
     system: &'a H,
     effects: &'a E,
     inputs: Inputs<'a, R>,
@@ -53,7 +53,7 @@ struct Reverse<'a, H, E, R, C> {
 }
 
 impl<H: ForcedSystem, E: Effect<H::Model>, R: Real, C: Cotangent<R>> Vectorized
-    for Reverse<'_, H, E, R, C>
+    for SchemeVjp<'_, H, E, R, C>
 {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
@@ -98,9 +98,11 @@ impl ForcedSystem for QuantumScheme {
         next: &mut [T],
     ) {
         match self {
-            Self::CrankNicolson(system) => outline::<T>(Step { system, effects, inputs, next }),
-            Self::Pade(system) => outline::<T>(Step { system, effects, inputs, next }),
-            Self::Strang(system) => outline::<T>(Step { system, effects, inputs, next }),
+            Self::CrankNicolson(system) => {
+                outline::<T>(SchemeStep { system, effects, inputs, next })
+            }
+            Self::Pade(system) => outline::<T>(SchemeStep { system, effects, inputs, next }),
+            Self::Strang(system) => outline::<T>(SchemeStep { system, effects, inputs, next }),
         }
     }
 
@@ -114,13 +116,13 @@ impl ForcedSystem for QuantumScheme {
     ) {
         match self {
             Self::CrankNicolson(system) => {
-                outline::<R>(Reverse { system, effects, inputs, next_bar, cotangents })
+                outline::<R>(SchemeVjp { system, effects, inputs, next_bar, cotangents })
             }
             Self::Pade(system) => {
-                outline::<R>(Reverse { system, effects, inputs, next_bar, cotangents })
+                outline::<R>(SchemeVjp { system, effects, inputs, next_bar, cotangents })
             }
             Self::Strang(system) => {
-                outline::<R>(Reverse { system, effects, inputs, next_bar, cotangents })
+                outline::<R>(SchemeVjp { system, effects, inputs, next_bar, cotangents })
             }
         }
     }
