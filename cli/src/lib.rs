@@ -11,7 +11,8 @@
 //! 5. `scenes`: scene files, presets, overrides, plans of many trainings.
 //! 6. `runs`: training, resuming, comparisons, output files, statistics.
 //! 7. `commands`: the commands; `print` contains `scene` and `schema`.
-//! 8. `api`: scenes, policies and runs for other programs, for example the Python bindings.
+//! 8. `api`: scenes, policies and runs for other programs, for example the Python bindings. It shares
+//!    recordings, remarks, studies of accuracy and reports with the commands.
 //!
 //! Start with `commands/train` and `tasks/scene`.
 
