@@ -202,7 +202,15 @@ impl Task for Ending {
     fn observe<T: Scalar>(&self, inputs: Inputs<'_, T>, y: &mut [T]) {
         match self.task.observation_dim() {
             None => y.copy_from_slice(&inputs.x[..self.states]),
-            Some(_) => self.task.observe(self.inner(inputs), y),
+            Some(_) => {
+                self.task.observe(self.inner(inputs), y);
+                // Behind the end, an observation may be no number.
+                for y in y {
+                    let size = y.detach().abs();
+                    let finite = T::select_lt(size, T::from(f64::INFINITY), y.detach(), T::zero());
+                    *y = self.while_running(inputs.x, *y, finite);
+                }
+            }
         }
     }
 
@@ -219,7 +227,22 @@ impl Task for Ending {
                     add(x_bar, y_bar);
                 }
             }
-            Some(_) => self.task.observe_vjp(self.inner(inputs), y_bar, cotangents),
+            Some(_) => {
+                let (n, params) = (self.states, inputs.p.len());
+                let mut own: SmallVec<[C; 2 * STACK]> = smallvec![C::null(); n + params];
+                let (x, p) = own.split_at_mut(n);
+                let Cotangents { x: x_bar, p: p_bar, .. } = cotangents;
+                let of_params = p_bar.is_some().then_some(p);
+                let bars = Cotangents { x: Some(x), u: None, p: of_params };
+                self.task.observe_vjp(self.inner(inputs), y_bar, bars);
+                let running = self.running(inputs.x);
+                own.iter_mut().for_each(|bar| *bar = bar.along(running, R::one()));
+                for (out, bars) in [x_bar, p_bar].into_iter().zip([&own[..n], &own[n..]]) {
+                    if let Some(out) = out {
+                        add(out, bars);
+                    }
+                }
+            }
         }
     }
 

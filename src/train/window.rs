@@ -127,19 +127,17 @@ impl Window {
         Cotangents { x, u, p }: Cotangents<'_, C>,
         call: impl FnOnce(Cotangents<'_, C>),
     ) {
-        let Some(p) = p else { return call(Cotangents { x, u, p: None }) };
-        let (p, noise) = p.split_at_mut(self.params);
-        if noise.is_empty() {
-            return call(Cotangents { x, u, p: Some(p) });
+        let (p, noise) = p.map(|p| p.split_at_mut(self.params)).unzip();
+        if self.noise.is_empty() {
+            return call(Cotangents { x, u, p });
         }
-        let mut own: SmallVec<[C; STACK]> = smallvec![C::null(); noise.len()];
-        call(Cotangents { x, u: Some(&mut own), p: Some(p) });
+        let mut own: SmallVec<[C; STACK]> = smallvec![C::null(); self.noises()];
+        call(Cotangents { x, u: Some(&mut own), p });
         for (own, slope) in own.iter_mut().zip(self.slopes(bounded)) {
             *own = own.along(slope, R::one());
         }
-        add(noise, &own);
-        if let Some(u) = u {
-            add(u, &own);
+        for bars in [noise, u].into_iter().flatten() {
+            add(bars, &own);
         }
     }
 

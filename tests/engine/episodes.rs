@@ -350,16 +350,20 @@ fn an_end_guards_what_lies_behind_it() {
     };
     let equations = serde_json::json!({
         "states": ["q"], "controls": ["v"], "dt": 0.1, "start": { "q": { "uniform": [0.4, 1.0] } },
-        "next": { "q": "where(sqrt(q) > 0.5, q - 0.1 + 0.01 * v, 0)" },
+        "next": { "q": "where(sqrt(q) > 0.5, q - 0.1 + 0.01 * v, -1)" },
+        "observe": ["q", "sqrt(q)"],
     });
     let equations: Equations = serde_json::from_value(equations).expect("equations");
     let rk4 = AnyIntegrator::RungeKutta(RungeKutta::RK4);
     let task = GraphTask::new(&equations, &costs, rk4, 1, 20).expect("a task");
     let task = DynTask::new(Ending::new(DynTask::new(task)));
-    let policy = Mlp::new([1, 3, 1]);
-    let report = Trainer::new(task, policy).epochs(2).run().unwrap();
-    assert_eq!(report.records[1].skipped, 0);
-    assert!(report.records[1].length.is_some_and(|length| length < 10.0));
+    let policy = Mlp::new([2, 3, 1]);
+    let trainer = Trainer::new(task.clone(), policy).epochs(2);
+    for trainer in [trainer.clone(), trainer.windows(Windows::new(task, 5))] {
+        let report = trainer.run().unwrap();
+        assert_eq!(report.records[1].skipped, 0);
+        assert!(report.records[1].length.is_some_and(|length| length < 10.0));
+    }
 }
 
 /// Noise that is held for more steps than a window has is that of whole rollouts.
