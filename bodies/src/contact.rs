@@ -155,9 +155,10 @@ fn add_pair(
         (3, Friction::Elliptic) => Law::Elliptic,
         _ => {
             return Err(format!(
-                "the shapes `{}` and `{}` touch with `condim` {dimension}; torsional and rolling friction are not \
+                "{} and {} touch with `condim` {dimension}; torsional and rolling friction are not \
                  simulated, so set `condim` to 3 or 1",
-                a.name, b.name
+                place(a),
+                place(b)
             ));
         }
     };
@@ -187,11 +188,22 @@ fn add_pair(
 }
 
 fn unsupported(a: &Shape, b: &Shape) -> String {
+    let (first, second) = (a.form.name(), b.form.name());
     format!(
-        "the shapes `{}` and `{}` may touch, and contacts between these forms are not simulated; replace one by a sphere or \
-         capsule, or separate their kinds (`contype`, `conaffinity`) so that they do not touch",
-        a.name, b.name
+        "{} and {} may touch, and contacts of the forms {first} and {second} are not simulated; \
+         replace one by a sphere or capsule, or separate their kinds (`contype`, `conaffinity`) so \
+         that they do not touch",
+        place(a),
+        place(b)
     )
+}
+
+/// Where a shape stands in its file, or its name if no file has it.
+fn place(shape: &Shape) -> String {
+    match shape.place.line {
+        0 => format!("the shape `{}`", shape.name),
+        _ => shape.place.to_string(),
+    }
 }
 
 /// Softness of a contact of two shapes: that of the one with the higher priority, else a mean.

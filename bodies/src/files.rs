@@ -4,6 +4,7 @@ use crate::model::Model;
 use crate::{mjcf, urdf, xml};
 use std::fmt;
 use std::path::Path;
+use std::sync::Arc;
 
 /// Reads a model from an MJCF or URDF file, which its outermost element tells apart.
 ///
@@ -35,7 +36,8 @@ pub fn parse(text: &str, name: &str) -> Result<Model, FileError> {
     }
 }
 
-/// The text of a file with all that it includes.
+/// The text of a file with all that it includes. Places in the model of the text are those in the
+/// files that it came from.
 ///
 /// # Errors
 ///
@@ -59,15 +61,37 @@ pub struct FileError {
 
 impl fmt::Display for FileError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}", self.file)?;
-        if self.line > 0 {
-            write!(f, ", line {}", self.line)?;
-        }
-        if !self.element.is_empty() {
-            write!(f, ", {}", self.element)?;
-        }
+        write_place(f, &self.file, self.line, &self.element)?;
         write!(f, ": {}", self.what)
     }
+}
+
+/// Where a part of a model stands in its file. Empty for parts that no file has.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Place {
+    /// Name of the file.
+    pub file: Arc<str>,
+    /// Line from 1.
+    pub line: u32,
+    /// Element as in the file, with the attributes that identify it.
+    pub element: String,
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write_place(f, &self.file, self.line, &self.element)
+    }
+}
+
+fn write_place(f: &mut fmt::Formatter<'_>, file: &str, line: u32, element: &str) -> fmt::Result {
+    write!(f, "{file}")?;
+    if line > 0 {
+        write!(f, ", line {line}")?;
+    }
+    if !element.is_empty() {
+        write!(f, ", {element}")?;
+    }
+    Ok(())
 }
 
 impl std::error::Error for FileError {}

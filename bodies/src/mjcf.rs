@@ -49,14 +49,13 @@ pub fn parse(text: &str, name: &str) -> Result<Model, FileError> {
 }
 
 /// The text of a file with the elements of its includes in their places, so that it stands alone.
+/// Its elements keep the lines of their files.
 ///
 /// # Errors
 ///
 /// If a file cannot be read or is malformed.
 pub fn expand(path: &Path) -> Result<String, FileError> {
-    let mut text = String::new();
-    xml::write(&include::read(path)?, 0, &mut text);
-    Ok(text)
+    Ok(xml::write(&include::read(path)?))
 }
 
 /// Reads the model of a document. The name is that of the file, for models without a name.

@@ -1,6 +1,8 @@
 //! [`Model`]: bodies, joints, shapes and actuators as a file describes them. Constants only, in SI
 //! units and rad.
 
+use crate::files::Place;
+
 /// A vector.
 pub type Vec3 = [f64; 3];
 /// A rotation matrix, in rows.
@@ -270,6 +272,8 @@ pub struct Shape {
     pub margin: f64,
     /// Colour: red, green, blue, opacity.
     pub colour: [f64; 4],
+    /// Where it stands in its file.
+    pub place: Place,
 }
 
 /// Form of a shape.
@@ -287,6 +291,20 @@ pub enum Form {
     Ellipsoid(Vec3),
     /// Half lengths of the edges, m.
     Box(Vec3),
+}
+
+impl Form {
+    /// Name of the form.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Plane => "plane",
+            Self::Sphere(_) => "sphere",
+            Self::Capsule(..) => "capsule",
+            Self::Cylinder(..) => "cylinder",
+            Self::Ellipsoid(_) => "ellipsoid",
+            Self::Box(_) => "box",
+        }
+    }
 }
 
 /// A named point of a body.

@@ -3,7 +3,7 @@
 //! Files may come from anywhere. Size, depth and counts have bounds, and entities are refused, so
 //! that a small file cannot use much memory or time.
 
-use crate::files::FileError;
+use crate::files::{FileError, Place};
 use std::io::Read as _;
 use std::path::Path;
 use std::sync::Arc;
@@ -38,6 +38,11 @@ impl Element {
     /// The first child with this name.
     pub fn child(&self, name: &str) -> Option<&Element> {
         self.children.iter().find(|c| c.name == name)
+    }
+
+    /// Where the element stands.
+    pub fn place(&self) -> Place {
+        Place { file: self.file.clone(), line: self.line, element: self.label() }
     }
 
     /// An error at this element.
@@ -166,8 +171,12 @@ pub(crate) fn parse(text: &str, file: &str) -> Result<Element, FileError> {
         element: String::new(),
         what: format!("is not well-formed XML: {}", shorten_error(&e.to_string())),
     })?;
-    let mut lines = Lines { text: text.as_bytes(), position: 0, line: 1 };
-    Ok(element(document.root_element(), &file.into(), &mut lines))
+    let mut lines =
+        Lines { text: text.as_bytes(), position: 0, line: 1, file: file.into(), ahead: 0 };
+    for node in document.root().children().take_while(|node| !node.is_element()) {
+        lines.turn(&node);
+    }
+    Ok(element(document.root_element(), &mut lines))
 }
 
 /// The error of the parser, which can quote a whole attribute.
@@ -179,7 +188,16 @@ fn shorten_error(text: &str) -> String {
 }
 
 /// The element with its children, to the depth that [`guard`] has found.
-fn element(node: roxmltree::Node, file: &Arc<str>, lines: &mut Lines) -> Element {
+fn element(node: roxmltree::Node, lines: &mut Lines) -> Element {
+    let (file, line) = lines.place_of(&node);
+    let mut children = Vec::new();
+    for child in node.children() {
+        if child.is_element() {
+            children.push(element(child, lines));
+        } else {
+            lines.turn(&child);
+        }
+    }
     Element {
         name: qualified(&node),
         attributes: node
@@ -187,13 +205,9 @@ fn element(node: roxmltree::Node, file: &Arc<str>, lines: &mut Lines) -> Element
             .filter(|a| a.namespace().is_none())
             .map(|a| (a.name().to_string(), a.value().to_string()))
             .collect(),
-        file: file.clone(),
-        line: lines.line_of(node.range().start),
-        children: node
-            .children()
-            .filter(roxmltree::Node::is_element)
-            .map(|c| element(c, file, lines))
-            .collect(),
+        file,
+        line,
+        children,
     }
 }
 
@@ -206,12 +220,18 @@ fn qualified(node: &roxmltree::Node) -> String {
     }
 }
 
+/// The instruction of an expanded text that the next line came from another file or line.
+const FROM: &str = "from";
+
 /// Counts lines forward, because counting from the beginning for every element takes quadratic
 /// time.
 struct Lines<'a> {
     text: &'a [u8],
     position: usize,
     line: u32,
+    /// File from which the text came, and its lines before those of the text.
+    file: Arc<str>,
+    ahead: u32,
 }
 
 impl Lines<'_> {
@@ -220,6 +240,21 @@ impl Lines<'_> {
         self.line += passed.iter().filter(|b| **b == b'\n').count() as u32;
         self.position = self.position.max(position);
         self.line
+    }
+
+    /// File and line of an element.
+    fn place_of(&mut self, node: &roxmltree::Node) -> (Arc<str>, u32) {
+        let line = self.line_of(node.range().start);
+        (self.file.clone(), line.wrapping_add(self.ahead))
+    }
+
+    /// Follows an instruction of [`write`] with file and line of what comes next.
+    fn turn(&mut self, node: &roxmltree::Node) {
+        let Some(from) = node.pi().filter(|from| from.target == FROM) else { return };
+        let Some((line, file)) = from.value.and_then(|value| value.split_once(' ')) else { return };
+        let Ok(line) = line.parse::<u32>() else { return };
+        self.ahead = line.wrapping_sub(self.line_of(node.range().start));
+        self.file = shorten(file.trim()).into();
     }
 }
 
@@ -297,23 +332,59 @@ impl Tag {
     }
 }
 
-/// The element as text.
-pub(crate) fn write(element: &Element, indent: usize, out: &mut String) {
-    let space = " ".repeat(2 * indent);
-    *out += &format!("{space}<{}", element.name);
-    for (key, value) in &element.attributes {
-        *out += &format!(" {key}=\"{}\"", escaped(value));
-    }
-    if element.children.is_empty() {
-        *out += "/>\n";
-        return;
-    }
-    *out += ">\n";
-    for child in &element.children {
-        write(child, indent + 1, out);
-    }
-    *out += &format!("{space}</{}>\n", element.name);
+/// The document as text. Elements keep their lines, and an instruction before the first element
+/// and where the file changes says what these are.
+pub(crate) fn write(root: &Element) -> String {
+    let mut writer = Writer { out: String::new(), file: "".into(), line: 1 };
+    writer.write(root, 0);
+    writer.out + "\n"
 }
+
+struct Writer {
+    out: String,
+    /// File and line that the reader takes the end of the text for.
+    file: Arc<str>,
+    line: u32,
+}
+
+impl Writer {
+    fn write(&mut self, element: &Element, indent: usize) {
+        self.go_to(element, indent);
+        self.out += &format!("<{}", element.name);
+        for (key, value) in &element.attributes {
+            self.out += &format!(" {key}=\"{}\"", escaped(value));
+        }
+        if element.children.is_empty() {
+            self.out += "/>";
+            return;
+        }
+        self.out += ">";
+        for child in &element.children {
+            self.write(child, indent + 1);
+        }
+        self.out += &format!("</{}>", element.name);
+    }
+
+    /// Begins the line of an element, if the text is not there yet.
+    fn go_to(&mut self, element: &Element, indent: usize) {
+        let is_elsewhere = self.file != element.file || element.line < self.line;
+        if is_elsewhere || element.line > self.line + FAR {
+            let break_before = if self.out.is_empty() { "" } else { "\n" };
+            let file = element.file.replace("?>", "");
+            self.out += &format!("{break_before}<?{FROM} {} {file}?>\n", element.line - 1);
+            (self.file, self.line) = (element.file.clone(), element.line);
+        } else if element.line > self.line {
+            self.out.extend(std::iter::repeat_n('\n', (element.line - self.line) as usize));
+            self.line = element.line;
+        } else {
+            return;
+        }
+        self.out += &"  ".repeat(indent);
+    }
+}
+
+/// Empty lines that are written rather than an instruction.
+const FAR: u32 = 20;
 
 fn escaped(value: &str) -> String {
     value

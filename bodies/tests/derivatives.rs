@@ -54,6 +54,7 @@ fn shape(name: &str, body: usize, form: Form) -> Shape {
         priority: 0,
         margin: 0.01,
         colour: [0.5, 0.5, 0.5, 1.0],
+        place: Default::default(),
     }
 }
 

@@ -63,6 +63,7 @@ pub(crate) fn geom(
         priority: view.integer("priority", 0)?,
         margin: view.natural("margin", 0.0)?,
         colour: colour(view, colours)?,
+        place: view.element().place(),
     };
     Ok(Geom::Shape(Box::new(shape), part))
 }

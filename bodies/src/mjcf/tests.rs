@@ -2,6 +2,8 @@
 //! `tests/references/compare_models.py`.
 
 use super::{expand, parse, read};
+use crate::Bodies;
+use crate::files::Place;
 use crate::model::{Cone, Form, Integrator, JointKind, Model};
 use crate::rotation::{about, from_quaternion};
 use std::path::{Path, PathBuf};
@@ -240,6 +242,38 @@ fn messages_say_where() {
     assert_eq!(root.what, "unknown attribute `modle`; did you mean `model`?");
     let whole = parse("<robot/>", "a.xml").unwrap_err().to_string();
     assert!(whole.starts_with("a.xml, line 1, <robot>: is not MJCF"), "{whole}");
+}
+
+/// Contacts that are not simulated are refused where their shapes stand.
+#[test]
+fn refused_contacts_name_their_places() {
+    let error = |shapes: &str| {
+        let text = format!(
+            "<mujoco><worldbody>\n<geom name='floor' type='plane' size='1 1 1'/>\n\n\
+             <body><freejoint/>\n{shapes}</body></worldbody></mujoco>"
+        );
+        Bodies::new(parse(&text, "m.xml").unwrap()).unwrap_err().to_string()
+    };
+    let floor = "m.xml, line 2, <geom name=\"floor\" type=\"plane\">";
+    let of_forms = error("<geom type='cylinder' size='.1 .1'/>");
+    let start = format!(
+        "{floor} and m.xml, line 5, <geom type=\"cylinder\"> may touch, and contacts of the forms \
+         plane and cylinder are not simulated; "
+    );
+    assert!(of_forms.starts_with(&start), "{of_forms}");
+    for condim in [4, 6] {
+        let of_friction = error(&format!("<geom name='a' size='.1' condim='{condim}'/>"));
+        let start = format!(
+            "{floor} and m.xml, line 5, <geom name=\"a\"> touch with `condim` {condim}; torsional"
+        );
+        assert!(of_friction.starts_with(&start), "{of_friction}");
+    }
+    let text = "<mujoco><worldbody><geom name='a' size='.1'/>\
+                <body><freejoint/><geom name='b' type='box' size='.1 .1 .1'/></body></worldbody></mujoco>";
+    let mut model = parse(text, "m.xml").unwrap();
+    model.shapes.iter_mut().for_each(|shape| shape.place = Place::default());
+    let of_code = Bodies::new(model).unwrap_err().to_string();
+    assert!(of_code.starts_with("the shape `a` and the shape `b` may touch, "), "{of_code}");
 }
 
 /// An error about a default stands at the default.
@@ -530,6 +564,9 @@ fn includes_are_read_and_expanded() {
     let text = expand(&folder.file("main.xml")).unwrap();
     assert!(!text.contains("include"));
     assert_eq!(parse(&text, "main.xml").unwrap(), model);
+    // Also of parts that the simulation refuses, in the text alone.
+    let place = parse(&text, "other.xml").unwrap().shapes[0].place.to_string();
+    assert_eq!(place, "./parts/leg.xml, line 3, <geom>");
     // Errors stay in the file that has them.
     let error = read(&folder.file("bad.xml")).unwrap_err();
     assert_eq!((error.file.as_str(), error.line), ("parts/broken.xml", 3));

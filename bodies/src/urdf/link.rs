@@ -80,6 +80,7 @@ pub(crate) fn shapes(
             priority: 0,
             margin: 0.0,
             colour: [0.5, 0.5, 0.5, 1.0],
+            place: child.place(),
         });
     }
     Ok(())

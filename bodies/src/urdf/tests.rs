@@ -1,6 +1,7 @@
 //! Texts that are read and texts that are refused.
 
 use super::parse;
+use crate::Bodies;
 use crate::model::{Form, JointKind, Model};
 
 const INERTIAL: &str = "<inertial><origin xyz='0 0 1'/><mass value='2'/>
@@ -92,6 +93,18 @@ fn collisions_become_shapes() {
     assert_eq!(forms, [("ball", Form::Sphere(2.0)), ("geom1", cylinder), ("geom2", cube)]);
     assert!(model.remarks[0].starts_with("Meshes do not touch; 1 left out"));
     assert!(model.remarks[1].starts_with("Visual shapes are only drawn; 1 is left out."));
+}
+
+#[test]
+fn refused_contacts_name_their_places() {
+    let floor = "<collision name='floor'><geometry><box size='9 9 1'/></geometry></collision>";
+    let foot = "\n<collision><geometry><cylinder radius='1' length='3'/></geometry></collision>";
+    let links = link("world", floor) + &link("arm", &format!("{INERTIAL}{foot}"));
+    let model = robot(&(links + &joint("j", "floating", "world", "arm", "")));
+    let error = Bodies::new(model).unwrap_err().to_string();
+    let start = "r.urdf, line 3, <collision> and r.urdf, line 1, <collision name=\"floor\"> may touch, \
+                 and contacts of the forms cylinder and box ";
+    assert!(error.starts_with(start), "{error}");
 }
 
 /// A link without mass may move if a link that is fixed to it has mass.

@@ -143,7 +143,6 @@ pub fn read_text(model: &str, folder: &Path) -> Result<String, String> {
             one_of(&names)
         ));
     }
-    // Reads the model first: errors in the expanded text would have other lines.
     let text = files::read(&path).and_then(|_| files::expand(&path));
     text.map_err(|error: FileError| format!("cannot be read: {error}"))
 }
