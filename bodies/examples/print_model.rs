@@ -4,7 +4,7 @@
 //! Usage: `print_model FILE...`
 
 use physgrad_bodies::files::read;
-use physgrad_bodies::model::{Body, Form, Joint, Model, Shape, Softness};
+use physgrad_bodies::model::{Body, Form, Joint, Model, Shape, Softness, Transmission};
 use std::path::Path;
 
 fn main() {
@@ -45,7 +45,11 @@ fn json(model: &Model) -> String {
             list(model.actuators.iter().map(|a| {
                 object(&[
                     ("name", text(&a.name)),
-                    ("joint", a.joint.to_string()),
+                    ("tendon", format!("{}", matches!(a.on, Transmission::Tendon(_)))),
+                    (
+                        "joints",
+                        list(a.on.joints().iter().map(|(joint, by)| format!("[{joint},{by:?}]"))),
+                    ),
                     ("gear", format!("{:?}", a.gear)),
                     ("gain", format!("{:?}", a.gain)),
                     ("bias", numbers(&a.bias)),

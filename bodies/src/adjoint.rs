@@ -489,35 +489,53 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
         bars: &mut Bars<'_, C>,
     ) {
         for (i, (motor, &u)) in tree.motors.iter().zip(u).enumerate() {
-            let dof = &tree.dofs[motor.dof];
             let gear = motor.gear.of(params);
-            let force = motor.force(q[dof.q], v[motor.dof], u, params);
-            let passes = dof.passes(work.actuation[motor.dof]);
-            let out = -(self.lambda[motor.dof] * passes);
+            let force = motor.force(tree, [q, v, params], u);
+            let scaled = |bar: C, by: f64| if by == 1.0 { bar } else { bar * R::from(by) };
+            let out = { motor.ends.iter() }
+                .map(|&(k, by)| {
+                    let passes = tree.dofs[k].passes(work.actuation[k]);
+                    scaled(-(self.lambda[k] * passes), by)
+                })
+                .reduce(|sum, end| sum + end)
+                .unwrap_or(C::null());
             let inner = motor.passes(force);
-            let force = motor.limited(force);
+            let (unlimited, force) = (force, motor.limited(force));
             let force_bar = out * (gear * inner);
             if let Some(u_bar) = &mut bars.u {
                 let slope = motor.control_range.map_or(R::one(), |range| inside(u, range));
                 u_bar[i] += force_bar * (slope * motor.gain.of(params));
             }
             if !motor.position.is_absent() {
-                bars.q[dof.q] += -(force_bar * (gear * motor.position.of(params)));
+                let bar = -(force_bar * (gear * motor.position.of(params)));
+                for &(k, by) in &motor.ends {
+                    bars.q[tree.dofs[k].q] += scaled(bar, by);
+                }
             }
             if !motor.velocity.is_absent() {
-                bars.v[motor.dof] += -(force_bar * (gear * motor.velocity.of(params)));
+                let bar = -(force_bar * (gear * motor.velocity.of(params)));
+                for &(k, by) in &motor.ends {
+                    bars.v[k] += scaled(bar, by);
+                }
             }
             let Some(p_bar) = &mut bars.p else { continue };
             let (position, velocity) = (motor.position.of(params), motor.velocity.of(params));
-            // Implicit feedback is `gear² velocity dt` in the damped matrix.
-            let feedback = if tree.implicit_feedback() && !motor.velocity.is_absent() {
-                let by = work.stepped[motor.dof] * gear * inner * passes * tree.options.dt;
-                Some(self.mu[motor.dof] * by)
-            } else {
-                None
-            };
+            let (q, v) = motor.motion(tree, q, v);
+            // Implicit feedback is `gear² velocity dt`, times the product of the coefficients, in the
+            // damped matrix.
+            let feedback = (tree.implicit_feedback() && !motor.velocity.is_absent()).then(|| {
+                let passes = motor.feeds_back(tree, unlimited, &work.actuation);
+                let scale = gear * passes * tree.options.dt;
+                let pair = |&(k, j, by): &(usize, usize, f64)| {
+                    let bar = self.mu[k] * (work.stepped[j] * scale);
+                    let both =
+                        if k == j { bar } else { bar + self.mu[j] * (work.stepped[k] * scale) };
+                    scaled(both, by)
+                };
+                motor.pairs.iter().map(pair).reduce(|sum, bar| sum + bar).unwrap_or(C::null())
+            });
             if let Some(entry) = motor.gear.entry {
-                let slope = (q[dof.q] * position + v[motor.dof] * velocity) * inner;
+                let slope = (q * position + v * velocity) * inner;
                 p_bar[entry] += out * (force - slope * gear);
                 if let Some(feedback) = feedback {
                     p_bar[entry] += feedback * (velocity * 2.0);
@@ -528,10 +546,10 @@ impl<R: Real, C: Cotangent<R>> Back<R, C> {
                 p_bar[entry] += force_bar * u;
             }
             if let Some(entry) = motor.position.entry {
-                p_bar[entry] += -(force_bar * (gear * q[dof.q]));
+                p_bar[entry] += -(force_bar * (gear * q));
             }
             if let Some(entry) = motor.velocity.entry {
-                p_bar[entry] += -(force_bar * (gear * v[motor.dof]));
+                p_bar[entry] += -(force_bar * (gear * v));
                 if let Some(feedback) = feedback {
                     p_bar[entry] += feedback * gear;
                 }

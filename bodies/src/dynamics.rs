@@ -255,9 +255,11 @@ impl<T: Scalar> Work<T> {
         // One actuator per joint is the rule; a range of the joint bounds their sum.
         self.actuation.fill(T::zero());
         for (motor, &u) in tree.motors.iter().zip(u) {
-            let dof = &tree.dofs[motor.dof];
-            let force = motor.limited(motor.force(q[dof.q], v[motor.dof], u, params));
-            self.actuation[motor.dof] += force * motor.gear.of(params);
+            let force = motor.limited(motor.force(tree, [q, v, params], u));
+            let force = force * motor.gear.of(params);
+            for &(k, by) in &motor.ends {
+                self.actuation[k] += times(force, by);
+            }
         }
         for (k, dof) in tree.dofs.iter().enumerate() {
             let force = self.actuation[k];
@@ -290,11 +292,12 @@ impl<T: Scalar> Work<T> {
             let damps = |(motor, _): &(&Motor, _)| !motor.velocity.is_absent();
             for (motor, &u) in tree.motors.iter().zip(u).filter(damps) {
                 let gear = motor.gear.of(params);
-                let dof = &tree.dofs[motor.dof];
-                let force = motor.force(q[dof.q], v[motor.dof], u, params);
-                let passes = motor.passes(force) * dof.passes(self.actuation[motor.dof]);
+                let force = motor.force(tree, [q, v, params], u);
+                let passes = motor.feeds_back(tree, force, &self.actuation);
                 let feedback = gear * gear * passes * (motor.velocity.of(params) * dt);
-                *self.damped.at_mut(motor.dof, motor.dof) += feedback;
+                for &(k, j, by) in &motor.pairs {
+                    *self.damped.at_mut(k, j) += times(feedback, by);
+                }
             }
         }
         self.damped.factor(&tree.parent);
@@ -312,12 +315,21 @@ impl Dof {
 }
 
 impl Motor {
+    /// Position and velocity: the sums of those of its ends.
+    #[inline(always)]
+    pub(crate) fn motion<T: Scalar>(&self, tree: &Tree, q: &[T], v: &[T]) -> (T, T) {
+        let end = |&(k, by): &(usize, f64)| (times(q[tree.dofs[k].q], by), times(v[k], by));
+        let ends = self.ends.iter().map(end);
+        ends.reduce(|sum, end| (sum.0 + end.0, sum.1 + end.1)).unwrap_or((T::zero(), T::zero()))
+    }
+
     /// Force before its range and the gear.
     #[inline(always)]
-    pub(crate) fn force<T: Scalar>(&self, q: T, v: T, u: T, params: &[T]) -> T {
+    pub(crate) fn force<T: Scalar>(&self, tree: &Tree, [q, v, params]: [&[T]; 3], u: T) -> T {
         let u = self.control_range.map_or(u, |[low, high]| u.clamp(low, high));
         let mut force = u * self.gain.of(params);
         if !self.position.is_absent() || !self.velocity.is_absent() || self.constant != 0.0 {
+            let (q, v) = self.motion(tree, q, v);
             let against = q * self.position.of(params) + v * self.velocity.of(params);
             force += -(against * self.gear.of(params)) + self.constant;
         }
@@ -330,11 +342,27 @@ impl Motor {
         self.force_range.map_or(T::one(), |range| inside(force, range))
     }
 
+    /// 1 if velocity feedback is implicit, else 0: the force is inside its range, and the sum of the
+    /// actuators inside that of the joint. MuJoCo does not ask for the latter at the ends of tendons.
+    #[inline(always)]
+    pub(crate) fn feeds_back<T: Scalar>(&self, tree: &Tree, force: T, actuation: &[T]) -> T {
+        match self.ends[..] {
+            [(k, _)] if !self.is_tendon => self.passes(force) * tree.dofs[k].passes(actuation[k]),
+            _ => self.passes(force),
+        }
+    }
+
     /// The force within its range.
     #[inline(always)]
     pub(crate) fn limited<T: Scalar>(&self, force: T) -> T {
         self.force_range.map_or(force, |[low, high]| force.clamp(low, high))
     }
+}
+
+/// The number times a coefficient, which is often 1.
+#[inline(always)]
+fn times<T: Scalar>(x: T, by: f64) -> T {
+    if by == 1.0 { x } else { x * by }
 }
 
 /// 1 inside of a range, 0 outside.

@@ -24,10 +24,11 @@ const MJCF: &str = "<mujoco model='m'>
 <body name='d' zaxis='0 1 1'><geom class='leg' type='box' size='.1 .1 .1' gap='.1'/></body>
 </worldbody>
 <contact><exclude body1='a' body2='d'/></contact>
-<tendon><fixed name='t'><joint joint='j' coef='1'/></fixed></tendon>
+<tendon><fixed name='t'><joint joint='j' coef='1'/></fixed><fixed name='s'>
+<joint joint='j' coef='.5'/><joint joint='k' coef='-2'/></fixed></tendon>
 <actuator><motor joint='j' gear='2' ctrllimited='true'/><position joint='k' kp='3' kv='1'/>
 <velocity joint='j' kv='2'/><general joint='k' biastype='affine' gainprm='1' biasprm='1 2 3'/>
-</actuator>
+<motor tendon='s' gear='3'/></actuator>
 <sensor><jointpos joint='j'/></sensor>
 <keyframe><key name='up' qpos='0 0 1 1 0 0 0 0 0 1 0 0 0'/><key/></keyframe></mujoco>";
 
@@ -156,6 +157,7 @@ fn numbers(model: &Model) -> Vec<f64> {
     all.extend(model.sites.iter().flat_map(|s| s.position));
     for a in &model.actuators {
         all.extend([a.gear, a.gain]);
+        all.extend(a.on.joints().iter().map(|end| end.1));
         all.extend(a.bias.iter().chain(a.control_range.iter().flatten()));
         all.extend(a.force_range.iter().flatten());
     }
@@ -194,7 +196,8 @@ fn sound(model: &Model) -> Result<(), String> {
     };
     check(model.shapes.iter().all(|s| positive(&s.form)), "a size is not positive")?;
     let joints = model.joints.len();
-    check(model.actuators.iter().all(|a| a.joint < joints), "an actuator without joint")?;
+    let ends: Vec<_> = model.actuators.iter().flat_map(|a| a.on.joints()).collect();
+    check(ends.iter().all(|end| end.0 < joints), "an actuator without joint")?;
     check(model.excluded.iter().flatten().all(|b| *b < bodies), "an excluded body is missing")?;
     let ranges = model.actuators.iter().flat_map(|a| [a.control_range, a.force_range]);
     check(ranges.flatten().all(|r| ordered(&r)), "a bad range")

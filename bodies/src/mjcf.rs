@@ -15,6 +15,7 @@ mod pose;
 mod sections;
 mod settings;
 mod softness;
+mod tendon;
 #[cfg(test)]
 mod tests;
 mod tree;
@@ -81,10 +82,10 @@ fn model(root: &Element, name: &str) -> Result<Model, FileError> {
         remarks: Vec::new(),
     };
     switch(&mut model, &switches)?;
-    sections::actuators(root, &classes, &compiler, &mut model)?;
+    let idle = sections::actuators(root, &classes, &compiler, &mut model)?;
     sections::excluded(root, &mut model)?;
     pose::poses(root, &mut model)?;
-    sections::remarks(root, &tree, &mut model);
+    sections::remarks(root, &tree, idle, &mut model);
     names::fill(&mut model);
     Ok(model)
 }

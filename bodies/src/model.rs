@@ -318,15 +318,35 @@ pub struct Site {
     pub position: Vec3,
 }
 
-/// An actuator of a hinge or slide, with the force
-/// `gear (gain u + bias₀ + bias₁ gear q + bias₂ gear v)`.
+/// What an actuator acts on.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Transmission {
+    /// A hinge or slide, by its index.
+    Joint(usize),
+    /// A fixed tendon: hinges and slides with coefficients. Its position is the sum of those of the
+    /// joints, times the coefficients, and its force acts on each joint, times the coefficient.
+    Tendon(Vec<(usize, f64)>),
+}
+
+impl Transmission {
+    /// The joints with their coefficients.
+    pub fn joints(&self) -> Vec<(usize, f64)> {
+        match self {
+            Self::Joint(joint) => vec![(*joint, 1.0)],
+            Self::Tendon(joints) => joints.clone(),
+        }
+    }
+}
+
+/// An actuator with the force `gear (gain u + bias₀ + bias₁ gear q + bias₂ gear v)`, for position q
+/// and velocity v of what it acts on.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Actuator {
     /// Unique name.
     pub name: String,
-    /// Index of the joint.
-    pub joint: usize,
-    /// Ratio between joint and actuator.
+    /// What it acts on.
+    pub on: Transmission,
+    /// Ratio between joint or tendon and actuator.
     pub gear: f64,
     /// Force per control.
     pub gain: f64,

@@ -131,10 +131,15 @@ pub(crate) struct Placed {
     pub(crate) weight: f64,
 }
 
-/// Actuator of a degree of freedom.
+/// Actuator of degrees of freedom.
 #[derive(Clone, Debug)]
 pub(crate) struct Motor {
-    pub(crate) dof: usize,
+    /// Degrees of freedom with their coefficients: one, or those of a tendon.
+    pub(crate) ends: Vec<(usize, f64)>,
+    pub(crate) is_tendon: bool,
+    /// Entries of the mass matrix that velocity feedback changes, the later degree of freedom first,
+    /// and the product of the coefficients: as in MuJoCo, those of ends on one chain.
+    pub(crate) pairs: Vec<(usize, usize, f64)>,
     pub(crate) gear: Coefficient,
     /// Force per control, constant force, and force against position and velocity.
     pub(crate) gain: Coefficient,
@@ -471,8 +476,22 @@ impl Tree {
             [(kv, gain)] => (number(kv, gain), constant(-position), number(kv, gain)),
             _ => (constant(a.gain), constant(-position), constant(-velocity)),
         };
+        // An end with the coefficient 0 does not act.
+        let ends: Vec<(usize, f64)> = { a.on.joints().into_iter() }
+            .filter(|end| end.1 != 0.0)
+            .map(|(joint, by)| (self.joints[joint], by))
+            .collect();
+        let above = |k: usize| {
+            std::iter::successors(Some(k), |&k| Some(self.parent[k]).filter(|&up| up != NONE))
+        };
+        let pairs = ends.iter().flat_map(|&(k, by)| {
+            let on_chain = move |&&(j, _): &&(usize, f64)| above(k).any(|up| up == j);
+            ends.iter().filter(on_chain).map(move |&(j, other)| (k, j, by * other))
+        });
         Motor {
-            dof: self.joints[a.joint],
+            pairs: pairs.collect(),
+            ends,
+            is_tendon: matches!(a.on, Transmission::Tendon(_)),
             gear: number("gear", a.gear),
             gain,
             constant: bias,

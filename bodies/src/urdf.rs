@@ -11,7 +11,7 @@ mod tests;
 
 use crate::files::FileError;
 use crate::mass::immovable;
-use crate::model::{Actuator, Body, JointKind, Model, Options};
+use crate::model::{Actuator, Body, JointKind, Model, Options, Transmission};
 use crate::names;
 use crate::rotation::{IDENTITY, Pose};
 use crate::xml::{self, Element, hint, shorten};
@@ -226,7 +226,7 @@ fn join(joint: &Hinged, body: usize, model: &mut Model) -> Result<(), FileError>
     if motion.kind != JointKind::Free {
         model.actuators.push(Actuator {
             name: motion.name.clone(),
-            joint: model.joints.len(),
+            on: Transmission::Joint(model.joints.len()),
             gear: 1.0,
             gain: 1.0,
             bias: [0.0; 3],

@@ -2,7 +2,7 @@
 
 use physgrad::count::{OpCount, TaskOpCount};
 use physgrad::{Number, System as _};
-use physgrad_bodies::model::{Integrator, Model};
+use physgrad_bodies::model::{Integrator, Model, Transmission};
 use physgrad_bodies::{Bodies, BodiesTask, files};
 
 /// A leg above a floor. At the state of the counts its joints are at their limits, and it touches
@@ -35,6 +35,20 @@ fn cost(model: &Model) -> OpCount {
     let bodies = Bodies::new(model.clone()).unwrap();
     let start = vec![Number::Fixed(0.0); bodies.state_dim()];
     TaskOpCount::of(&BodiesTask::new(bodies, 1, start, 1).erased()).system
+}
+
+/// Without a coefficient of its own, a tendon costs as much as its joint.
+#[test]
+fn a_tendon_of_one_joint_costs_as_much_as_the_joint() {
+    let (joint, pull) = (leg("", "", "", ""), leg("", "", "", ""));
+    let with = |ends: Vec<(usize, f64)>| {
+        let mut model = pull.clone();
+        model.actuators[0].on = Transmission::Tendon(ends);
+        cost(&model)
+    };
+    let alone = cost(&joint);
+    assert_eq!(with(vec![(0, 0.0), (1, 1.0)]), alone);
+    assert!(with(vec![(0, 0.5), (1, 1.0)]).step.total() > alone.step.total());
 }
 
 const LIMITS: &str = "range='-.05 .05' ";

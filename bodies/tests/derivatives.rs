@@ -64,7 +64,7 @@ fn robot() -> Model {
     let hinge = joint("shoulder", 2, JointKind::Hinge);
     let motor = |name: &str, joint: usize| Actuator {
         name: name.into(),
-        joint,
+        on: Transmission::Joint(joint),
         gear: 3.0,
         gain: 2.0,
         bias: [0.1, -0.7, -0.2],
@@ -124,8 +124,31 @@ fn servos(integrator: Integrator) -> Model {
     let bounded = servo("bounded", 20.0, [0.0, -20.0, 0.0], Some([-0.5, 0.5]));
     let follower = servo("follower", 5.0, [0.0, -5.0, -0.4], None);
     let mut speed = servo("speed", 2.0, [0.0, 0.0, -2.0], None);
-    speed.joint = 3;
+    speed.on = Transmission::Joint(3);
     model.actuators = vec![bounded, follower, speed];
+    model
+}
+
+/// Tendons with a motor, and with servos, across branches and on one chain, one of them at its bound.
+fn tendons(integrator: Integrator) -> Model {
+    let mut model = servos(integrator);
+    let [shoulder, hip, rail] = [1, 2, 3];
+    model.joints[hip].force_range = Some([-0.8, 0.8]);
+    let ends = [
+        vec![(shoulder, 0.7), (rail, -1.2)],
+        vec![(hip, 0.6), (rail, -0.4), (shoulder, 1.0)],
+        vec![(rail, 1.5), (hip, 0.0)],
+    ];
+    for (actuator, ends) in model.actuators.iter_mut().zip(ends) {
+        actuator.on = Transmission::Tendon(ends);
+    }
+    let motor = Actuator {
+        name: "motor".into(),
+        on: Transmission::Tendon(vec![(hip, -0.5), (rail, 2.0)]),
+        bias: [0.0; 3],
+        ..model.actuators[0].clone()
+    };
+    model.actuators.push(motor);
     model
 }
 
@@ -148,6 +171,8 @@ fn variants() -> Vec<(&'static str, Model)> {
         ("long steps", with(&|o| (o.integrator, o.dt) = (Integrator::Rk4, 0.3))),
         ("servos", servos(Integrator::Euler)),
         ("implicit servos", servos(Integrator::ImplicitFast)),
+        ("tendons", tendons(Integrator::Euler)),
+        ("implicit tendons", tendons(Integrator::ImplicitFast)),
         ("medium", with(&|o| (o.density, o.viscosity, o.wind) = (300.0, 0.5, [0.3, 0.1, -0.2]))),
     ]
 }

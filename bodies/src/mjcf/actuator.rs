@@ -1,20 +1,27 @@
-//! Actuators of hinges and slides.
+//! Actuators of hinges, slides and fixed tendons.
 
 use super::classes::Classes;
 use super::drive::Drive;
 use super::known;
+use super::tendon::{Tendons, ends, scalar_joint};
 use super::view::View;
 use crate::files::FileError;
-use crate::model::{Actuator, Joint, JointKind};
+use crate::model::{Actuator, Joint, Transmission};
 use crate::xml::{Element, hint, shorten};
 use std::collections::HashMap;
+
+/// What actuators may act on.
+pub(crate) struct Targets<'a, 'b> {
+    pub joints: &'b [Joint],
+    pub by_name: HashMap<String, usize>,
+    pub tendons: Tendons<'a>,
+    pub classes: &'b Classes<'a>,
+}
 
 /// Reads an actuator. All kinds share one set of defaults in a class.
 pub(crate) fn actuator<'a>(
     element: &'a Element,
-    classes: &Classes<'a>,
-    joints: &[Joint],
-    by_name: &HashMap<String, usize>,
+    targets: &Targets<'a, '_>,
     auto_limits: bool,
 ) -> Result<Actuator, FileError> {
     let known = match element.name.as_str() {
@@ -25,15 +32,15 @@ pub(crate) fn actuator<'a>(
         other => return Err(element.error(refusal(other))),
     };
     let names: Vec<&str> = known::ACTUATORS.into_iter().chain(known::OTHER_ACTUATORS).collect();
-    let groups = classes.groups(element, 0, &names)?;
+    let groups = targets.classes.groups(element, 0, &names)?;
     let view = View::new(groups.concat());
     view.check(&known)?;
-    let joint = joint(&view, joints, by_name)?;
+    let on = transmission(&view, targets)?;
     let drive = Drive::of(&groups)?;
     let [gear, ..] = view.fill::<6>("gear", [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])?;
     Ok(Actuator {
         name: element.get("name").unwrap_or("").to_string(),
-        joint,
+        on,
         gear,
         gain: drive.gain[0],
         bias: if drive.biased { drive.bias } else { [0.0; 3] },
@@ -52,31 +59,26 @@ pub(crate) fn refusal(name: &str) -> String {
     }
 }
 
-/// The hinge or slide that the actuator names.
-fn joint(
-    view: &View,
-    joints: &[Joint],
-    by_name: &HashMap<String, usize>,
-) -> Result<usize, FileError> {
-    // For scalar joints both attributes mean the same.
-    let (attribute, name) = match (view.text("joint"), view.text("jointinparent")) {
-        (Some(_), Some(_)) => {
-            return Err(view.error("has `joint` and `jointinparent`; remove one of them"));
-        }
-        (None, Some(name)) => ("jointinparent", name),
-        (Some(name), None) => ("joint", name),
-        (None, None) => return Err(view.error("has no joint; add `joint`")),
+/// The joint or tendon that the actuator names.
+fn transmission<'a>(view: &View<'a>, targets: &Targets<'a, '_>) -> Result<Transmission, FileError> {
+    // For scalar joints both attributes of joints mean the same.
+    let mut named =
+        ["joint", "jointinparent", "tendon"].into_iter().filter(|name| view.text(name).is_some());
+    let Some(attribute) = named.next() else {
+        return Err(view.error("has no joint; add `joint`"));
     };
-    let Some(index) = by_name.get(name) else {
-        let hint = hint(name, by_name.keys().map(String::as_str));
-        let name = shorten(name);
-        return Err(view.error_at(attribute, format!("unknown joint `{name}`; {hint}")));
-    };
-    if matches!(joints[*index].kind, JointKind::Ball | JointKind::Free) {
-        return Err(view.error_at(
-            attribute,
-            "actuators of ball and free joints are not supported; use hinges and slides",
-        ));
+    if let Some(other) = named.next() {
+        return Err(view.error(format!("has `{attribute}` and `{other}`; remove one of them")));
     }
-    Ok(*index)
+    let Targets { joints, by_name, tendons, classes } = targets;
+    if attribute != "tendon" {
+        return scalar_joint(view, attribute, joints, by_name).map(Transmission::Joint);
+    }
+    let name = view.text(attribute).unwrap_or("");
+    let Some(tendon) = tendons.get(name) else {
+        let hint = hint(name, tendons.keys().copied());
+        let name = shorten(name);
+        return Err(view.error_at(attribute, format!("unknown tendon `{name}`; {hint}")));
+    };
+    ends(tendon, classes, joints, by_name).map(Transmission::Tendon)
 }

@@ -263,19 +263,21 @@ pub(crate) const TENDON: Known = Known {
     ],
 };
 
+pub(crate) const FIXED_JOINT: Known =
+    Known { read: &["joint", "coef"], ignored: &[], refused: &[] };
+
 /// Attributes that all actuators have; the macro adds those of one kind.
 macro_rules! actuator {
     (read: [$($read:literal),*], ignored: [$($ignored:literal),*], refused: [$($refused:tt),*]) => {
         Known {
             read: &[
-                "name", "class", "joint", "jointinparent", "gear", "ctrllimited", "ctrlrange",
+                "name", "class", "joint", "jointinparent", "tendon", "gear", "ctrllimited", "ctrlrange",
                 "forcelimited", "forcerange", $($read),*
             ],
             ignored: &[
                 "group", "user", "lengthrange", "nsample", "interp", "cranklength", $($ignored),*
             ],
             refused: &[
-                ("tendon", "", "let the actuator act on a hinge or slide joint"),
                 ("site", "", "let the actuator act on a hinge or slide joint"),
                 ("refsite", "", "let the actuator act on a hinge or slide joint"),
                 ("body", "", "let the actuator act on a hinge or slide joint"),

@@ -1,13 +1,14 @@
 //! The sections of a file beside the bodies.
 
-use super::actuator::actuator;
+use super::actuator::{Targets, actuator};
 use super::classes::Classes;
 use super::geom::Colours;
 use super::known;
 use super::settings::Compiler;
+use super::tendon;
 use super::tree::Tree;
 use crate::files::FileError;
-use crate::model::Model;
+use crate::model::{Model, Transmission};
 use crate::xml::{Element, hint, shorten};
 use std::collections::{HashMap, HashSet};
 
@@ -109,39 +110,37 @@ pub(crate) fn colours<'a>(
     Ok(colours)
 }
 
-/// Reads the actuators.
+/// Largest number of pairs of joints of all tendons of actuators.
+const PAIRS: usize = 1_000_000;
+
+/// Reads the actuators. Returns the number of tendons without actuators.
 pub(crate) fn actuators<'a>(
     root: &'a Element,
     classes: &Classes<'a>,
     compiler: &Compiler,
     model: &mut Model,
-) -> Result<(), FileError> {
+) -> Result<usize, FileError> {
     let by_name = index(model.joints.iter().map(|j| &j.name));
-    let mut names = HashSet::new();
+    let tendons = tendon::named(within(root, "tendon"), classes)?;
+    let targets = Targets { joints: &model.joints, by_name, tendons, classes };
+    let (mut names, mut driven, mut pairs) = (HashSet::new(), HashSet::new(), 0);
     for element in within(root, "actuator") {
-        let actuator = actuator(element, classes, &model.joints, &by_name, compiler.auto_limits)?;
+        let actuator = actuator(element, &targets, compiler.auto_limits)?;
         if !actuator.name.is_empty() && !names.insert(actuator.name.clone()) {
             return Err(element.error("another actuator has the same name; rename one of them"));
         }
+        if let Transmission::Tendon(ends) = &actuator.on {
+            driven.insert(element.get("tendon"));
+            pairs += ends.len() * ends.len();
+            if pairs > PAIRS {
+                let what =
+                    format!("the tendons of actuators have more than {PAIRS} pairs of joints");
+                return Err(element.error(what));
+            }
+        }
         model.actuators.push(actuator);
     }
-    for tendon in within(root, "tendon") {
-        harmless(tendon, classes)?;
-    }
-    Ok(())
-}
-
-/// Refuses tendons that act. Others only measure, because actuators of tendons are refused.
-fn harmless<'a>(tendon: &'a Element, classes: &Classes<'a>) -> Result<(), FileError> {
-    if !matches!(tendon.name.as_str(), "fixed" | "spatial") {
-        return Err(tendon.error("unknown tendon; it can be `fixed` or `spatial`"));
-    }
-    let view = classes.view(tendon, 0, &["tendon"])?;
-    view.check(&known::TENDON)?;
-    match view.range("range", "limited", true)? {
-        None => Ok(()),
-        Some(_) => Err(view.error_at("range", "limits of tendons are not supported, remove it")),
-    }
+    Ok(within(root, "tendon").count() - driven.len())
 }
 
 fn index<'a>(names: impl Iterator<Item = &'a String>) -> HashMap<String, usize> {
@@ -177,12 +176,12 @@ pub(crate) fn excluded(root: &Element, model: &mut Model) -> Result<(), FileErro
     Ok(())
 }
 
-/// Names what the file has and what is left out.
-pub(crate) fn remarks(root: &Element, tree: &Tree, model: &mut Model) {
+/// Names what the file has and what is left out, `idle` tendons among others.
+pub(crate) fn remarks(root: &Element, tree: &Tree, idle: usize, model: &mut Model) {
     let count = |section: &str| within(root, section).count();
     for (count, what) in [
         (count("sensor"), "Sensors only measure"),
-        (count("tendon"), "Tendons without forces only measure"),
+        (idle, "Tendons without forces only measure"),
         (count("equality"), "Inactive equality constraints do not act"),
         (count("custom"), "Custom elements do not act"),
         (count("deformable"), "Skins are only drawn"),

@@ -4,7 +4,7 @@
 use super::{expand, parse, read};
 use crate::Bodies;
 use crate::files::Place;
-use crate::model::{Cone, Form, Integrator, JointKind, Model};
+use crate::model::{Cone, Form, Integrator, JointKind, Model, Transmission};
 use crate::rotation::{about, from_quaternion};
 use std::path::{Path, PathBuf};
 
@@ -162,7 +162,9 @@ const REFUSED: &[(&str, &str, &str, &str)] = &[
     // Actuators.
     (ACT, "<motor joint=\"k\"/>", TOR, "unknown joint `k`; did you mean `j`?"),
     (ACT, "<motor/>", TOR, "has no joint; add `joint`"),
-    (ACT, "<motor tendon=\"t\"/>", TOR, "`tendon` is not supported; let the actuator act on"),
+    (ACT, "<motor tendon=\"t\"/>", TOR, "unknown tendon `t`; remove it"),
+    (ACT, "<motor tendon=\"t\" joint=\"j\"/>", TOR, "has `joint` and `tendon`; remove one of them"),
+    (TEN, "<motor tendon=\"u\"/>", TOR, "unknown tendon `u`; did you mean `t`?"),
     (ACT, "<muscle joint=\"j\"/>", TOR, "this actuator is not supported; those that are supported"),
     (ACT, "<motr joint=\"j\"/>", TOR, "unknown actuator; did you mean `motor`?"),
     (
@@ -204,6 +206,13 @@ const REFUSED: &[(&str, &str, &str, &str)] = &[
     ),
     ("<equality>", "<weld body1=\"a\"/>", "</equality>", "equality constraints are not supported"),
     ("<tendon>", "<fixed stiffness=\"1\"/>", "</tendon>", "`stiffness` is not supported; tendons"),
+    (DON, "<joint joint=\"j\" coef=\"1\"/>", NET, "the tendon has this joint twice; add the coef"),
+    (DON, "<joint joint=\"k\"/>", NET, "has no coefficient; add `coef`"),
+    (DON, "<joint joint=\"i\" coef=\"1\"/>", NET, "unknown joint `i`; did you mean"),
+    (DON, "<joint joint=\"b\" coef=\"1\"/>", NET, "actuators of ball and free joints are not sup"),
+    (DON, "<site site=\"s\"/>", NET, "unknown element in a fixed tendon; it can be `joint`"),
+    ("<tendon><fixed name=\"t\"/>", "<fixed name=\"t\"/>", "</tendon>", "another tendon has the"),
+    ("<tendon>", "<fixed damping=\"1\"/>", "</tendon>", "`damping` is not supported; tendons that"),
     ("<tendon>", "<spatial range=\"0 1\"/>", "</tendon>", "limits of tendons are not supported"),
     ("<deformable>", "<flex/>", "</deformable>", "deformable bodies are not supported; remove it"),
     ("<extension>", "<plugin/>", "</extension>", "plugins are not supported; remove them"),
@@ -215,6 +224,12 @@ const OUT: &str = "</body></worldbody>";
 const ACT: &str =
     "<worldbody><body><joint name=\"j\"/><geom size=\"1\"/></body></worldbody><actuator>";
 const TOR: &str = "</actuator>";
+const TEN: &str = "<worldbody><body><joint name=\"j\"/><geom size=\"1\"/></body></worldbody>\
+     <tendon><fixed name=\"t\"/></tendon><actuator>";
+const DON: &str = "<worldbody><body><joint name=\"j\"/><joint name=\"k\"/><geom size=\"1\"/></body>\
+     <body><joint name=\"b\" type=\"ball\"/><geom size=\"1\"/></body></worldbody>\
+     <tendon><fixed name=\"t\"><joint joint=\"j\" coef=\"1\"/>";
+const NET: &str = "</fixed></tendon><actuator><motor tendon=\"t\"/></actuator>";
 
 #[test]
 fn refusals_name_the_line_and_the_reason() {
@@ -341,6 +356,24 @@ fn laws_skip_those_of_other_kinds() {
 }
 
 /// Each form with its mass: by density, and given.
+#[test]
+fn actuators_act_on_fixed_tendons() {
+    let model = model(
+        "<default><tendon width='1'/><motor gear='.1'/></default>
+         <worldbody><body><joint name='x' type='slide'/><joint name='y'/><geom size='1'/></body>
+         </worldbody>
+         <tendon><fixed name='idle'/><fixed name='t'><joint joint='y' coef='.5'/>
+           <joint joint='x' coef='-2'/></fixed></tendon>
+         <actuator><motor name='m' tendon='t'/><position name='p' tendon='t' kp='3'/>
+           <motor joint='x' gear='2'/></actuator>",
+    );
+    let tendon = Transmission::Tendon(vec![(1, 0.5), (0, -2.0)]);
+    assert_eq!((&model.actuators[0].on, model.actuators[0].gear), (&tendon, 0.1));
+    assert_eq!((&model.actuators[1].on, model.actuators[1].gain), (&tendon, 3.0));
+    assert_eq!(model.actuators[2].on, Transmission::Joint(0));
+    assert_eq!(model.remarks, ["Tendons without forces only measure; 1 is left out."]);
+}
+
 #[test]
 fn forms_give_bodies_their_mass() {
     let pi = std::f64::consts::PI;

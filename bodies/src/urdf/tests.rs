@@ -2,7 +2,7 @@
 
 use super::parse;
 use crate::Bodies;
-use crate::model::{Form, JointKind, Model};
+use crate::model::{Form, JointKind, Model, Transmission};
 
 const INERTIAL: &str = "<inertial><origin xyz='0 0 1'/><mass value='2'/>
     <inertia ixx='1' ixy='0' ixz='0' iyy='2' iyz='0' izz='3'/></inertial>";
@@ -45,7 +45,7 @@ fn joints_have_limits_and_motors() {
     assert_eq!(joint.limit.unwrap().range, [-1.0, 2.0]);
     assert_eq!(joint.force_range, Some([-5.0, 5.0]));
     let motor = &model.actuators[0];
-    assert_eq!((motor.name.as_str(), motor.joint, motor.gain), ("j", 0, 1.0));
+    assert_eq!((motor.name.as_str(), &motor.on, motor.gain), ("j", &Transmission::Joint(0), 1.0));
     assert_eq!(motor.control_range, Some([-5.0, 5.0]));
     assert_eq!(model.remarks, ["Limits of velocities do not act; 1 is left out."]);
 }

@@ -14,7 +14,7 @@ HERE = pathlib.Path(__file__).parent
 MODELS = HERE.parent.parent / "models"
 NAMES = ["hopper", "half_cheetah", "walker2d", "ant", "swimmer", "reacher", "inverted_double_pendulum", "humanoid"]
 # Files in `small`, one feature each.
-SMALL = ["dry", "gantry", "ice", "puck", "rotor", "servo", "swim"]
+SMALL = ["cable", "dry", "gantry", "ice", "plane_mass", "puck", "rotor", "servo", "swim"]
 CASES = 12
 
 
