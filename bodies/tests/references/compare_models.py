@@ -180,8 +180,16 @@ def compare_actuators(differences, ours, model):
     differences.same("number of actuators", len(ours), model.nu)
     for i, actuator in enumerate(ours[: model.nu]):
         name = f"actuator {actuator['name']}"
-        differences.same(f"{name} joint", actuator["joint"], model.actuator_trnid[i][0])
-        differences.same(f"{name} transmission", model.actuator_trntype[i] in (0, 1), True)
+        target, joints, tendon = model.actuator_trnid[i][0], actuator["joints"], int(mujoco.mjtTrn.mjTRN_TENDON)
+        kinds = (tendon,) if actuator["tendon"] else (0, 1)
+        differences.same(f"{name} transmission", model.actuator_trntype[i] in kinds, True)
+        if actuator["tendon"]:
+            first = model.tendon_adr[target]
+            ends = slice(first, first + model.tendon_num[target])
+            differences.same(f"{name} joints", [j for j, _ in joints], model.wrap_objid[ends].tolist())
+            differences.close(f"{name} coefficients", [by for _, by in joints], model.wrap_prm[ends])
+        else:
+            differences.same(f"{name} joint", joints, [[target, 1.0]])
         differences.close(f"{name} gear", actuator["gear"], model.actuator_gear[i][0])
         differences.close(f"{name} gain", actuator["gain"], model.actuator_gainprm[i][0])
         bias = model.actuator_biasprm[i][:3] * (model.actuator_biastype[i] != 0)
@@ -221,7 +229,7 @@ def compare_rest(differences, ours, model):
 def compare_motors(differences, ours, model):
     """Compare the motors of a URDF file with the limits of its joints."""
     scalar = [i for i in range(model.njnt) if KINDS[model.jnt_type[i]] in ("Hinge", "Slide")]
-    differences.same("motors", [a["joint"] for a in ours], scalar)
+    differences.same("motors", [a["joints"][0][0] for a in ours], scalar)
     for actuator, i in zip(ours, scalar):
         name = f"motor {actuator['name']}"
         differences.same(f"{name} name", actuator["name"], model.joint(i).name)

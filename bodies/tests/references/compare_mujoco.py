@@ -59,6 +59,13 @@ def replaced(*pairs):
 
 
 ELLIPTIC = ("<option ", '<option cone="elliptic" ')
+TENDONS = replaced(
+    ("<actuator>", '<tendon><fixed name="back"><joint joint="bthigh" coef="1"/><joint joint="bshin" coef="-0.5"/>'
+                   '</fixed><fixed name="both"><joint joint="bfoot" coef="0.6"/><joint joint="ffoot" coef="0.4"/>'
+                   "</fixed></tendon><actuator>"),
+    ('joint="bthigh" name="bthigh"/>', 'tendon="back" name="bthigh"/>'),
+    ('joint="ffoot" name="ffoot"/>', 'tendon="both" name="ffoot"/>'),
+)
 JOINT_RANGES = replaced(
     ('<joint armature="1"', '<joint actuatorfrclimited="true" actuatorfrcrange="-30 30" armature="1"')
 )
@@ -73,6 +80,11 @@ VARIANTS = [
     ("ant, position", "ant", position_actuators),
     ("ant, position, joint ranges", "ant", lambda text: position_actuators(JOINT_RANGES(text))),
     ("half_cheetah, position", "half_cheetah", position_actuators),
+    ("half_cheetah, tendons", "half_cheetah", TENDONS),
+    ("half_cheetah, position, tendons", "half_cheetah", lambda text: position_actuators(TENDONS(text))),
+    # The ball of the file grazes the floor in every state, so that rounding decides.
+    ("point, floor 1 mm lower", "point", replaced(('name="floor" pos="0 0 0"', 'name="floor" pos="0 0 -0.001"'))),
+    ("point, floor 1 mm higher", "point", replaced(('name="floor" pos="0 0 0"', 'name="floor" pos="0 0 0.001"'))),
     ("ant, boxes", "ant", replaced(('size="0.25" type="sphere"', 'size="0.2 0.25 0.3" type="box"'))),
     ("ant, touching itself", "ant", replaced(('conaffinity="0"', 'conaffinity="1"'))),
     ("ant, stiff", "ant", replaced(("<geom conaffinity", '<geom solref="-9000 -90" conaffinity'))),

@@ -173,18 +173,26 @@ class Writer:
 
     def actuator(self, joint):
         kind = self.random.choice(["motor", "position", "velocity", "general"])
-        return f'<{kind} joint="{joint}"{self.cls()}{self.actuator_law(kind)}/>'
+        return f'<{kind} {joint}{self.cls()}{self.actuator_law(kind)}/>'
+
+    def tendon(self, name):
+        joints = self.random.sample(self.joints, min(len(self.joints), self.random.randint(1, 4)))
+        ends = "".join(f'<joint joint="{joint}" coef="{self.numbers(1)}"/>' for joint in joints)
+        return f'<fixed name="{name}">{ends}</fixed>'
 
     def model(self):
         classes = self.classes(list("abc"))
         world = f'<geom type="plane" size="1 1 1"/>{self.body(0)}{self.body(0)}'
-        actuators = "".join(self.actuator(joint) for joint in self.joints)
+        tendons = [f"t{i}" for i in range(self.random.choice([0, 0, 1, 3]) if self.joints else 0)]
+        actuators = [f'joint="{joint}"' for joint in self.joints] + [f'tendon="{name}"' for name in tendons]
+        actuators = "".join(map(self.actuator, actuators))
         a, b = self.random.sample(self.bodies, 2)
         key = f'<key qpos="{self.numbers(self.positions)}"/><key/>'
         sections = {
             "default": classes,
             "asset": '<material name="red" rgba="1 0 0 1"/>',
             "worldbody": world,
+            "tendon": "".join(map(self.tendon, tendons)),
             "contact": f'<exclude body1="{a}" body2="{b}"/>',
             "actuator": actuators,
             "keyframe": key,
