@@ -12,7 +12,7 @@ const MJCF: &str = "<mujoco model='m'>
 <default><joint damping='1' armature='.1'/><geom friction='1 .1 .1' density='500' solref='.02 1'/>
 <motor ctrlrange='-1 1'/><default class='leg'><geom type='capsule' size='.1'/>
 <joint range='-1 1' solimplimit='.9 .95 .001' margin='.01'/></default></default>
-<worldbody><geom name='floor' type='plane' size='1 1 1' material='red' condim='4'/>
+<?from 7 part.xml?><worldbody><geom name='floor' type='plane' size='1 1 1' material='red' condim='4'/>
 <light/><camera/><body name='a' pos='0 0 1' euler='.1 .2 .3'><freejoint name='root'/>
 <geom type='ellipsoid' size='.1 .2 .3' mass='2'/><site name='s' pos='0 0 1'/>
 <frame pos='0 0 .1' axisangle='0 0 1 2'><body name='b' childclass='leg' quat='1 0 1 0'>

@@ -368,10 +368,11 @@ impl Writer {
     /// Begins the line of an element, if the text is not there yet.
     fn go_to(&mut self, element: &Element, indent: usize) {
         let is_elsewhere = self.file != element.file || element.line < self.line;
-        if is_elsewhere || element.line > self.line + FAR {
+        if is_elsewhere || element.line > self.line.saturating_add(FAR) {
             let break_before = if self.out.is_empty() { "" } else { "\n" };
             let file = element.file.replace("?>", "");
-            self.out += &format!("{break_before}<?{FROM} {} {file}?>\n", element.line - 1);
+            self.out +=
+                &format!("{break_before}<?{FROM} {} {file}?>\n", element.line.saturating_sub(1));
             (self.file, self.line) = (element.file.clone(), element.line);
         } else if element.line > self.line {
             self.out.extend(std::iter::repeat_n('\n', (element.line - self.line) as usize));

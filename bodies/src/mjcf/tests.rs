@@ -600,10 +600,18 @@ fn includes_are_read_and_expanded() {
     // Also of parts that the simulation refuses, in the text alone.
     let place = parse(&text, "other.xml").unwrap().shapes[0].place.to_string();
     assert_eq!(place, "./parts/leg.xml, line 3, <geom>");
+    // An expanded text stays as it is, and wrong instructions change places only.
+    let twice = Folder::new("twice", &[("a.xml", &text), ("b.xml", WRONG)]);
+    assert_eq!(expand(&twice.file("a.xml")).unwrap(), text);
+    let text = expand(&twice.file("b.xml")).unwrap();
+    assert_eq!(parse(&text, "b.xml").unwrap().bodies, read(&twice.file("b.xml")).unwrap().bodies);
     // Errors stay in the file that has them.
     let error = read(&folder.file("bad.xml")).unwrap_err();
     assert_eq!((error.file.as_str(), error.line), ("parts/broken.xml", 3));
 }
+
+const WRONG: &str = "<?from 4294967295 ?><mujoco><?from?><worldbody><?from 4294967295 a?>\n
+    <body/><?from -1 b?><body/>\n<?from 0 c?><body/></worldbody></mujoco>";
 
 #[test]
 fn includes_stay_in_the_folder_and_end() {
