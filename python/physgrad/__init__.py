@@ -30,6 +30,7 @@ from ._accuracy import Accuracy, accuracy
 from ._distributions import choice, log_uniform, noise, normal, table, trained, uniform
 from ._fit import Fit, identify
 from ._import_jax import from_jax
+from ._model import Model, model as _model_of
 from ._plan import Plan, optimize
 from ._progress import Progress, is_watched
 from ._rollouts import losses, rollout
@@ -48,6 +49,7 @@ __all__ = [
     "Divergence",
     "Fit",
     "Mlp",
+    "Model",
     "Plan",
     "Policy",
     "Run",
@@ -83,6 +85,7 @@ _MODULES = ("gym", "jax", "torch")
 
 for _kind, _shown in ((Task, _notebook.task), (Policy, _notebook.policy), (Run, _notebook.run)):
     setattr(_kind, "_repr_html_", _shown)
+setattr(Task, "model", property(_model_of))
 
 
 @with_arguments_of(Task)

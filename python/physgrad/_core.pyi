@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 from typing_extensions import Unpack
 
+from ._model import Model
 from ._types import FieldName, LongFieldName, Path, Precision, RunSettings, Section, TrainingSettings
 
 __version__: str
@@ -118,6 +119,11 @@ class Task:
     @property
     def settings(self) -> dict[str, Any]:
         """All settings, a dict that refuses changes."""
+    @property
+    def model(self) -> Model | None:
+        """Names and numbers of the model of a robot from a file. None for other tasks."""
+    @property
+    def _model(self) -> tuple[str, dict[str, list[str]], dict[str, Any], list[str]] | None: ...
     def starts(
         self,
         count: int,

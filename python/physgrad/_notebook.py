@@ -47,13 +47,15 @@ def task(self: Task) -> str:
     settings, is_own = self.settings, self.name == "equations"
     # The expressions of a system of the user are too long for a table.
     system = settings.get("system", {})
-    system = system.get("parameters", {}) if is_own else {k: v for k, v in system.items() if k != "dt"}
+    left_out = ("dt",) if self.model is None else ("dt", "model")
+    system = system.get("parameters", {}) if is_own else {k: v for k, v in system.items() if k not in left_out}
     return table(
         f"Task {self.name}",
         {
             "states": counted(self.state_names),
             "controls": counted(self.control_names),
             "parameters": counted(self.param_names) if self.param_dim else None,
+            "model": None if self.model is None else repr(self.model).strip("<>"),
             "horizon": f"{self.horizon} steps of {self.dt:g}",
             "precision": self.dtype,
             "integrator": value_of(settings.get("integrator", {})),

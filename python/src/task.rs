@@ -330,6 +330,17 @@ impl Task {
         self.scene.observation_names()
     }
 
+    /// Name, parts, numbers and remarks of a model in a file; see `physgrad.Model`.
+    #[getter]
+    #[pyo3(name = "_model")]
+    fn model<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyTuple>>> {
+        let Some((model, numbers)) = self.scene.model() else { return Ok(None) };
+        let parts = model.parts.into_py_dict(py)?.into_any();
+        let name = PyString::new(py, &model.name).into_any();
+        let remarks = model.remarks.into_pyobject(py)?.into_any();
+        PyTuple::new(py, [name, parts, table_to_python(py, &numbers)?, remarks]).map(Some)
+    }
+
     /// All settings of the scene, defaults included, as nested dicts, which refuse changes, and
     /// tuples. `replace` returns a task with other settings.
     #[getter]

@@ -103,6 +103,31 @@ def test_files_that_cannot_be_simulated_are_refused_with_their_line(tmp_path):
     (tmp_path / "a.xml").write_text(SWING.replace("capsule", "mesh"))
     with pytest.raises(ValueError, match="a.xml, line 7"):
         pg.bodies(tmp_path / "a.xml")
+    # Contacts are refused where the shapes stand, unless the settings leave contacts out.
+    floor = '<include file="floor.xml"/><worldbody>'
+    (tmp_path / "b.xml").write_text(SWING.replace("capsule", "cylinder").replace("<worldbody>", floor))
+    (tmp_path / "floor.xml").write_text("<mujoco>\n<worldbody><geom type='plane' size='1 1 1'/></worldbody></mujoco>")
+    with pytest.raises(ValueError, match='floor.xml, line 2, <geom type="plane"> and b.xml, line 7, <geom name="rod"'):
+        pg.bodies(tmp_path / "b.xml")
+    assert pg.bodies(tmp_path / "b.xml", contacts="none").model.shapes == ["geom0", "rod"]
+
+
+def test_a_task_names_the_parts_and_numbers_of_its_model(tmp_path):
+    sensor = "<sensor><jointpos joint='hinge'/></sensor></mujoco>"
+    (tmp_path / "swing.xml").write_text(SWING.replace("</mujoco>", sensor).replace('"rod"', '"the rod"'))
+    task = pg.bodies(tmp_path / "swing.xml", joint={"hinge": {"damping": pg.uniform(0.1, 0.2)}}, motor={"torque": {"gear": 2}})
+    model = task.model
+    assert (model.name, model.bodies, model.joints) == ("swing", ["arm"], ["hinge"])
+    assert (model.sites, model.shapes, model.actuators) == (["end"], ["the_rod"], ["torque"])
+    numbers = model.numbers
+    assert np.isclose(numbers["system.body.arm.mass"], 1.0) and numbers["system.shape.the_rod.friction"] == 1.0
+    # The settings of the task stand before the file.
+    assert numbers["system.motor.torque.gear"] == 2 and numbers["system.joint.hinge.damping"] == {"uniform": (0.1, 0.2)}
+    assert model.remarks == ["Sensors only measure; 1 is left out."]
+    assert repr(model) == f"<physgrad.Model swing: 1 body, 1 joint, 1 site, 1 shape, 1 actuator, {len(numbers)} numbers>"
+    assert "system.body.arm.mass" in model._repr_html_() and repr(model).strip("<>") in task._repr_html_()
+    assert "worldbody" not in task._repr_html_() and model.to_dict()["joints"] == ["hinge"]
+    assert pg.task("cart_pole").model is None
 
 
 def recordings(task, count=4, steps=40):

@@ -45,6 +45,8 @@ def tasks() -> list[pg.Task]:
 
 def shapes(task: pg.Task) -> tuple[int, int, int, int, int]:
     names: list[str] = task.state_names + task.control_names + task.param_names + task.observation_names
+    if task.model is not None:
+        names += task.model.bodies + list(task.model.numbers)
     print(task.name, names, task.dt, task.dtype, task.control_bounds, task.settings["horizon"])
     return task.state_dim, task.control_dim, task.param_dim, task.observation_dim, task.start_dim
 

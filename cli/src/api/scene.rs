@@ -11,7 +11,7 @@ use crate::scenes::presets;
 use crate::scenes::source::{SceneSource, find};
 use crate::settings::reading::is_drawn;
 use crate::settings::{OPTIONAL, Precision, VERSION};
-use crate::tasks::{self, scene::INITIAL_POLICY};
+use crate::tasks::{self, ModelParts, scene::INITIAL_POLICY};
 use anyhow::{Context, Result, bail};
 use physgrad::engine::append_starts;
 use physgrad::identify::{Fit, IdentifyError, Options, Segment};
@@ -213,6 +213,17 @@ impl Scene {
     pub fn number(&self, key: &str) -> Option<Value> {
         let of_model = || self.scene.model_numbers().into_iter().find(|(name, _)| name == key);
         self.setting(key).or_else(|| of_model().map(|(_, value)| Value::Float(value)))
+    }
+
+    /// The model in a file: names of its parts, and its numbers with their keys and settings.
+    pub fn model(&self) -> Option<(ModelParts, Table)> {
+        let parts = self.scene.model()?;
+        let table = self.scene.table();
+        let of_scene = |(key, value): (String, f64)| {
+            let value = find(&table, &key).cloned().unwrap_or(Value::Float(value));
+            (key, value)
+        };
+        Some((parts, self.scene.model_numbers().into_iter().map(of_scene).collect()))
     }
 
     /// Whether the task has a model in a file, whose numbers may be set.

@@ -8,7 +8,7 @@ use crate::settings::config_error::{ConfigError, allowed, count};
 use crate::settings::reading::overlay;
 use crate::tasks::equations::located;
 use crate::tasks::hard::{Nothing, in_scene};
-use crate::tasks::{FileSetting, Settings, TaskSpec};
+use crate::tasks::{FileSetting, ModelParts, Settings, TaskSpec};
 use physgrad::graph::{Costs, Names, Replaced, Replacement};
 use physgrad::{DynTask, Inputs, System as _};
 use physgrad_bodies::{self as bodies, components};
@@ -120,6 +120,24 @@ impl TaskSpec for Bodies {
     fn model_numbers(settings: &Settings<Self>) -> Vec<(String, f64)> {
         let numbers = bodies::Bodies::known_numbers(&settings.system.known());
         numbers.into_iter().map(|(name, value)| (format!("system.{name}"), value)).collect()
+    }
+
+    fn model(settings: &Settings<Self>) -> Option<ModelParts> {
+        let model = settings.system.known();
+        let words = |names: &mut dyn Iterator<Item = &String>| -> Vec<String> {
+            names.map(|name| components::word(name)).collect()
+        };
+        Some(ModelParts {
+            name: model.name.clone(),
+            parts: vec![
+                ("bodies", words(&mut model.bodies.iter().skip(1).map(|body| &body.name))),
+                ("joints", words(&mut model.joints.iter().map(|joint| &joint.name))),
+                ("sites", words(&mut model.sites.iter().map(|site| &site.name))),
+                ("shapes", words(&mut model.shapes.iter().map(|shape| &shape.name))),
+                ("actuators", words(&mut model.actuators.iter().map(|actuator| &actuator.name))),
+            ],
+            remarks: model.remarks.clone(),
+        })
     }
 
     /// The softness of contacts, limits and dry friction depends on typical inertias.

@@ -142,6 +142,10 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     fn model_numbers(_settings: &Settings<Self>) -> Vec<(String, f64)> {
         Vec::new()
     }
+    /// Names of the parts of a model in a file. None by default.
+    fn model(_settings: &Settings<Self>) -> Option<ModelParts> {
+        None
+    }
     /// Settings whose trained numbers have these typical values, by key, if the physics depends on
     /// typical values besides the parameters of a sample. None by default.
     fn with_typical(
@@ -187,6 +191,17 @@ pub trait TaskSpec: Clone + Debug + Send + Sync + 'static {
     ) -> Animation {
         Self::animation(settings, rollout)
     }
+}
+
+/// Names of the parts of a model in a file, as settings and expressions have them.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ModelParts {
+    /// Name of the model.
+    pub name: String,
+    /// Kinds of parts, in the plural, with the names of all parts.
+    pub parts: Vec<(&'static str, Vec<String>)>,
+    /// What the file has and what does not act, one sentence each.
+    pub remarks: Vec<String>,
 }
 
 /// A setting whose value may be the path of a file.

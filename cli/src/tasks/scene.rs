@@ -22,7 +22,7 @@ use crate::settings::{
 };
 use crate::tasks::policy::{Controlled, PolicySettings, ScenePolicy, is_kind};
 use crate::tasks::settings::{Parts, Physics};
-use crate::tasks::{AnyTaskSpec, Conserved, Settings, TaskSpec};
+use crate::tasks::{AnyTaskSpec, Conserved, ModelParts, Settings, TaskSpec};
 use anyhow::Result;
 use physgrad::actuator::Actuator;
 use physgrad::check::{Jumps, Kink, Plateau};
@@ -100,6 +100,7 @@ trait AnySettings: Send + Sync {
     fn equations(&self) -> Vec<(String, String)>;
     fn operations(&self) -> Option<Operations>;
     fn model_numbers(&self) -> Vec<(String, f64)>;
+    fn model(&self) -> Option<ModelParts>;
     /// The physics with these typical values of trained numbers, if it depends on them.
     fn typical_physics(&self, values: &[(String, f64)]) -> Option<DynTask>;
     fn remarks(&self) -> Vec<String>;
@@ -146,6 +147,10 @@ impl<K: TaskSpec> AnySettings for Settings<K> {
 
     fn model_numbers(&self) -> Vec<(String, f64)> {
         K::model_numbers(self)
+    }
+
+    fn model(&self) -> Option<ModelParts> {
+        K::model(self)
     }
 
     fn typical_physics(&self, values: &[(String, f64)]) -> Option<DynTask> {
@@ -450,6 +455,11 @@ impl Scene {
     /// Keys and values of the numbers of a model in a file, whether or not the scene sets them.
     pub fn model_numbers(&self) -> Vec<(String, f64)> {
         self.settings.model_numbers()
+    }
+
+    /// Names of the parts of a model in a file.
+    pub fn model(&self) -> Option<ModelParts> {
+        self.settings.model()
     }
 
     /// Names of the control components.
