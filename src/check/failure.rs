@@ -43,6 +43,9 @@ impl fmt::Display for Mismatch {
         if self.is_not_finite() {
             return write!(f, "{what}[{index}] is {found:e} (case {case})");
         }
+        if found.is_nan() && expected.is_nan() {
+            return write!(f, "{what}[{index}] is no number by either method (case {case})");
+        }
         write!(f, "{what}[{index}] is {found:e}, expected {expected:e}: ")?;
         // Only exact comparisons allow no error.
         if *allowed == 0.0 {

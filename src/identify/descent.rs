@@ -45,11 +45,15 @@ impl Stop {
 /// the norm of a column.
 const ROUNDING: f64 = 1e-14;
 
+/// Decrease of the objective at which the residuals are rounding errors of the initial ones. Data without
+/// noise, from a simulation, may decrease it for ever.
+const EXACT: f64 = 1e-30;
+
 /// Minimizes χ² plus `continuity²` times the sum of squared jumps between windows, in units of the
 /// noise.
 ///
-/// Returns whether the iterations converged: the tolerance ended them, or no step decreases the
-/// objective and all residuals and derivatives are finite. Also returns the minimum.
+/// Returns whether the iterations converged: the tolerance ended them, the residuals are rounding
+/// errors, or no step decreases the objective and all residuals and derivatives are finite. Also returns the minimum.
 ///
 /// # Errors
 /// [`IdentifyError::Stopped`] if the stop flag is set. [`IdentifyError::Worse`] if the minimum exceeds
@@ -103,7 +107,7 @@ pub(super) fn minimize(
             // derivatives are finite.
             None => return ended(linearized.iter().flatten().all(Linearized::is_finite), least),
         };
-        if quiet >= 2 {
+        if quiet >= 2 || least <= EXACT * objectives[0] {
             return ended(true, least);
         }
         objectives.push(least);

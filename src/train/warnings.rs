@@ -164,8 +164,8 @@ impl<F: Float> State<F> {
         let is_better = is_new || record.test_loss < first.test_loss;
         (2.0 * now < before && is_better).then(|| {
             format!(
-                "test episodes last {} steps, and lasted {} {}: the policy learns to end them. If the end is not the goal, make \
-                 it expensive, for example by `ended` in the terminal cost, or reward each step",
+                "test episodes last {} steps, and lasted {} {}: the policy learns to end them. If the end is not the goal, \
+                 reward each step by a constant in the running cost, or make the end expensive by `ended` in the terminal cost",
                 now.round(),
                 before.round(),
                 if is_new { "before the training" } else { "after the first epoch, with a higher loss" }

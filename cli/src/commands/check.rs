@@ -246,7 +246,7 @@ fn shorter(scene: &Scene, theta: &[f64], steps: usize) -> Option<String> {
     let halves = std::iter::successors(Some(steps / 2), |steps| Some(steps / 2));
     let (steps, found) = halves.take_while(|&steps| steps > 0).find_map(|steps| {
         let found = scene.jumps(theta, steps)?.ok()?;
-        (!is_bad(&found)).then_some((steps, found))
+        (!is_bad(&found) && found.error.is_finite()).then_some((steps, found))
     })?;
     Some(format!(
         "window: with `window.steps = {steps}`, R differs from the derivative of the mean loss by {} %. It may train \

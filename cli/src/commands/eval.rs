@@ -65,6 +65,8 @@ pub struct Eval {
 /// Results of one policy.
 struct OfPolicy {
     name: String,
+    /// Steps of an episode that does not end early.
+    horizon: usize,
     results: Vec<Evaluated>,
 }
 
@@ -92,11 +94,12 @@ pub fn eval(args: &Eval) -> Result<()> {
     };
     let results = parallel::map(&pairs, |pair| Ok(evaluation(pair)?.results(args.samples)));
     let results = results.into_iter().collect::<Result<Vec<_>>>()?;
-    let results: Vec<OfPolicy> = policies
-        .iter()
-        .zip(results)
-        .map(|(policy, results)| OfPolicy { name: policy.name.clone(), results })
-        .collect();
+    let of_policy = |((policy, scene), results): (&(&Trained, &Scene), Vec<Evaluated>)| OfPolicy {
+        name: policy.name.clone(),
+        horizon: scene.horizon,
+        results,
+    };
+    let results: Vec<OfPolicy> = pairs.iter().zip(results).map(of_policy).collect();
 
     let folder = Folder::or_fresh(reserved, "eval")?;
     folder.write("losses.csv", losses_csv(&results)?)?;
@@ -191,7 +194,7 @@ fn scene(args: &Eval, policy: &Trained) -> Result<Scene> {
     Ok(scene)
 }
 
-const SUMMARY: [&str; 13] = [
+const SUMMARY: [&str; 14] = [
     "run",
     "samples",
     "diverged",
@@ -205,6 +208,7 @@ const SUMMARY: [&str; 13] = [
     "worst",
     "worst_sample",
     "mean_length",
+    "ended_early",
 ];
 
 impl OfPolicy {
@@ -262,6 +266,12 @@ impl OfPolicy {
         (count > 0).then(|| lengths().sum::<usize>() as f64 / count as f64)
     }
 
+    /// Number of episodes that ended before the horizon, if episodes can end.
+    fn ended_early(&self) -> Option<usize> {
+        let lengths = self.results.iter().filter_map(|result| result.length);
+        self.length().map(|_| lengths.filter(|&length| length < self.horizon).count())
+    }
+
     /// Row of `summary.csv`.
     fn summary(&self) -> Vec<String> {
         let worst = self.worst(1)[0];
@@ -269,7 +279,8 @@ impl OfPolicy {
             self.mean().into_iter().chain(self.quantiles()).chain([self.results[worst].loss]);
         let row = [self.name.clone(), self.results.len().to_string(), self.diverged().to_string()];
         let length = self.length().map(|length| length.to_string()).unwrap_or_default();
-        let last = [worst.to_string(), length];
+        let early = self.ended_early().map(|early| early.to_string()).unwrap_or_default();
+        let last = [worst.to_string(), length, early];
         row.into_iter().chain(numbers.map(|x| x.to_string())).chain(last).collect()
     }
 }
@@ -325,7 +336,8 @@ fn picture(title: &str, results: &[OfPolicy]) -> String {
 fn table(args: &Eval, results: &[OfPolicy]) -> String {
     let can_end = results.iter().any(|result| result.length().is_some());
     let header = ["run", "mean", "5 %", "median", "95 %", "worst", "diverged"];
-    let header = header.into_iter().chain(can_end.then_some("mean steps"));
+    let of_ends = ["mean steps", "ended early"].into_iter().filter(|_| can_end);
+    let header = header.into_iter().chain(of_ends);
     let mut table = Table::new(header).optional(&["diverged", "95 %", "5 %"]);
     for result in results {
         let ([mean, error], quantiles) = (result.mean(), result.quantiles());
@@ -338,9 +350,10 @@ fn table(args: &Eval, results: &[OfPolicy]) -> String {
             format!("{} ± {}", short(mean), rough(error))
         };
         let first = [result.name.clone(), mean];
-        let length = can_end.then(|| result.length().map_or("-".into(), short));
-        table
-            .row(first.into_iter().chain(row).chain([result.diverged().to_string()]).chain(length));
+        let early = result.ended_early().map_or("-".into(), |early| early.to_string());
+        let ends = [result.length().map_or("-".into(), short), early];
+        let ends = ends.into_iter().filter(|_| can_end);
+        table.row(first.into_iter().chain(row).chain([result.diverged().to_string()]).chain(ends));
     }
     let rollouts = counted(args.samples, "rollout");
     let note = |result: &OfPolicy| {
@@ -368,7 +381,7 @@ mod tests {
             let losses = [large, &vec![0.5; small], &[f64::INFINITY]].concat();
             let result = |loss| Evaluated { loss, length: None };
             let results = losses.into_iter().map(result).collect();
-            OfPolicy { name: String::new(), results }.outliers()
+            OfPolicy { name: String::new(), horizon: 1, results }.outliers()
         };
         assert_eq!(outliers(&[1e153], 9), Some((1, 0.5)));
         assert_eq!(outliers(&[1e153, 1e90], 198), Some((2, 0.5)));

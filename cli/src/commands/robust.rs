@@ -85,6 +85,8 @@ struct Cell {
     quantiles: [f64; 4],
     /// Number of diverged rollouts.
     diverged: usize,
+    /// Mean steps of the episodes, if they can end.
+    length: Option<f64>,
 }
 
 /// Probabilities of the quantiles in a [`Cell`].
@@ -166,8 +168,10 @@ fn scene(policy: &Trained, at: &[f64], args: &Robust) -> Result<Scene> {
 /// Evaluates a policy at one grid point.
 fn evaluate(policy: &Trained, run: usize, at: &[f64], args: &Robust) -> Result<Cell> {
     let evaluation = policy.evaluation(&scene(policy, at, args)?, args.seed)?;
-    let losses: Vec<f64> =
-        evaluation.results(args.samples).into_iter().map(|result| result.loss).collect();
+    let results = evaluation.results(args.samples);
+    let lengths: Vec<usize> = results.iter().filter_map(|result| result.length).collect();
+    let length = lengths.iter().sum::<usize>() as f64 / lengths.len() as f64;
+    let losses: Vec<f64> = results.into_iter().map(|result| result.loss).collect();
     let diverged = losses.iter().filter(|loss| !loss.is_finite()).count();
     let losses = sorted(losses.into_iter());
     Ok(Cell {
@@ -175,6 +179,7 @@ fn evaluate(policy: &Trained, run: usize, at: &[f64], args: &Robust) -> Result<C
         at: at.to_vec(),
         quantiles: SHARES.map(|share| quantile(&losses, share)),
         diverged,
+        length: (!lengths.is_empty()).then_some(length),
     })
 }
 
@@ -187,13 +192,15 @@ fn rows<'a>(
     let mut header = vec!["run".to_owned()];
     header.extend(args.grid.iter().map(|axis| axis.key.clone()));
     header.extend(
-        ["quartile_1", "median", "quartile_3", "quantile_90", "diverged"].map(String::from),
+        ["quartile_1", "median", "quartile_3", "quantile_90", "diverged", "mean_length"]
+            .map(String::from),
     );
     let row = |cell: &Cell| {
         let mut row = vec![runs[cell.run].name.clone()];
         row.extend(cell.at.iter().map(f64::to_string));
         row.extend(cell.quantiles.iter().map(f64::to_string));
         row.push(cell.diverged.to_string());
+        row.push(cell.length.map(|length| length.to_string()).unwrap_or_default());
         row
     };
     (header, cells.iter().map(row))
@@ -204,7 +211,7 @@ fn table_csv(args: &Robust, runs: &[Trained], cells: &[Cell]) -> Result<Vec<u8>>
     csv(header, rows)
 }
 
-/// Median losses, and 90 % quantiles in parentheses: one row per grid point, one column per run.
+/// Median losses, 90 % quantiles in parentheses, and lengths of episodes that can end: one row per grid point, one column per run.
 fn table(args: &Robust, runs: &[Trained], cells: &[Cell]) -> String {
     let keys = args.grid.iter().map(|axis| axis.key.clone());
     let names: Vec<&str> = runs.iter().map(|run| &*run.name).collect();
@@ -213,12 +220,16 @@ fn table(args: &Robust, runs: &[Trained], cells: &[Cell]) -> String {
     let points = cells.len() / runs.len();
     for (point, cell) in cells.iter().take(points).enumerate() {
         let losses = (0..runs.len()).map(|run| {
-            let [_, median, _, high] = cells[run * points + point].quantiles.map(short);
-            format!("{median} ({high})")
+            let cell = &cells[run * points + point];
+            let [_, median, _, high] = cell.quantiles.map(short);
+            let steps = |length| format!(", {} steps", short(length));
+            format!("{median} ({high}){}", cell.length.map_or_else(String::new, steps))
         });
         table.row(cell.at.iter().map(|&value| short(value)).chain(losses));
     }
-    format!("{table}\nmedian loss (90 % quantile) of {}", counted(args.samples, "rollout"))
+    let can_end = cells.iter().any(|cell| cell.length.is_some());
+    let steps = if can_end { ", and mean steps of the episodes" } else { "" };
+    format!("{table}\nmedian loss (90 % quantile){steps} of {}", counted(args.samples, "rollout"))
 }
 
 /// One panel per value of the second setting, one line per run: the median, with a band from the

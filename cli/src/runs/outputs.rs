@@ -3,6 +3,7 @@
 use crate::operations::trajectory::Trajectory;
 use crate::platform::csv::csv;
 use crate::tasks::Scene;
+use crate::tasks::settings::COLUMNS;
 use anyhow::Result;
 use physgrad::train::Record;
 use physgrad_plot as report;
@@ -28,7 +29,7 @@ pub fn trajectories<'a>(
     scene: &Scene,
     rollouts: impl IntoIterator<Item = (usize, &'a Trajectory)>,
 ) -> Result<Vec<u8>> {
-    let names = ["sample", "step", "time"].map(String::from).into_iter();
+    let names = COLUMNS.map(String::from).into_iter();
     let (states, params) = (scene.state_names(), scene.param_names());
     let (controls, applied) = (scene.control_names(), scene.applied_names());
     let header = names.chain(states).chain(params).chain(controls.clone()).chain(applied.clone());

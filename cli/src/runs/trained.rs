@@ -122,13 +122,20 @@ impl Trained {
 fn better_epoch(name: &str, records: &[Record]) -> Option<String> {
     let (last, best) = (records.last()?, best_record(records)?);
     let is_close = last.test_loss - best.test_loss <= 0.05 * best.test_loss.abs();
+    let steps = |record: &Record| {
+        record
+            .length
+            .map_or_else(String::new, |steps| format!(" in episodes of {} steps", short(steps)))
+    };
     (!is_close).then(|| {
         format!(
-            "note: {name} has the policy of its last epoch, {}, with a test loss of {}. That of epoch {} had {}: --epoch best",
+            "note: {name} has the policy of its last epoch, {}, with a test loss of {}{}. That of epoch {} had {}{}: --epoch best",
             last.epoch,
             short(last.test_loss),
+            steps(last),
             best.epoch,
-            short(best.test_loss)
+            short(best.test_loss),
+            steps(best)
         )
     })
 }

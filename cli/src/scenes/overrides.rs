@@ -204,6 +204,8 @@ pub fn set(source: &mut SceneSource, assignment: &str) -> Result<()> {
                 .filter(|(_, key)| NUMBER_KEYS.contains(key))
                 .map_or(number, |(key, _)| key),
         };
+        let number =
+            if number.contains('.') { number.to_owned() } else { format!("system.{number}") };
         bail!(
             "{option}: only scene files have the section `{section}`; write the setting itself, as in --set '{number}={example}'"
         );

@@ -15,7 +15,7 @@ pub struct WindowSettings {
     /// Steps of a window.
     pub steps: usize,
     /// Standard deviation of normal noise on the controls, in their units, during training: one number
-    /// for all, or a list with one per control. The noise may exceed bounds.
+    /// for all, or a list with one per control. A control with its noise keeps the bounds of the policy.
     #[serde(default)]
     noise: Noise,
     /// Whether policy and value function are trained as networks of the observation in units of its
@@ -29,7 +29,7 @@ pub struct WindowSettings {
 
 /// One number for all controls, or one per control.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "a number, or a list with one number per control")]
 enum Noise {
     All(f64),
     Each(Vec<f64>),

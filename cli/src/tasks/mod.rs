@@ -19,7 +19,7 @@ pub mod policy;
 mod quantum;
 pub mod scene;
 mod schema;
-mod settings;
+pub mod settings;
 
 pub use own::ProgramTask;
 pub use own_effect::{AnyEffectSpec, OwnEffect, ProgramEffect, SceneEffects};

@@ -32,7 +32,7 @@ use physgrad::episode::Windows;
 use physgrad::graph::Operations;
 use physgrad::identify::{Fit, IdentifyError, Options, Segment};
 use physgrad::optimize::{self, Initial, OptimizeError, Plan};
-use physgrad::policy::{Policy as _, WithParams};
+use physgrad::policy::{Policy, WithParams};
 use physgrad::train::TrainedNumber;
 use physgrad::{Divergence, DynTask, Field, Number, System, Task};
 use physgrad_plot::{Animation, Channel};
@@ -708,7 +708,24 @@ impl Scene {
     /// Notes about settings of the task and the policy that are hardly meant.
     pub fn remarks(&self) -> Vec<String> {
         let remarks = self.settings.remarks().into_iter().chain(self.policy_settings.remarks());
-        remarks.map(|remark| format!("note: {remark}")).collect()
+        remarks.chain(self.large_noise()).map(|remark| format!("note: {remark}")).collect()
+    }
+
+    /// Controls whose noise in windows exceeds half of their range.
+    fn large_noise(&self) -> Vec<String> {
+        let bounds = Policy::control_bounds(&self.policy);
+        let Some((windows, bounds)) = self.windows().zip(bounds) else { return Vec::new() };
+        let names = self.control_names();
+        let large = |((name, noise), [low, high]): ((&String, &f64), [f64; 2])| {
+            let width = high - low;
+            (2.0 * noise > width).then(|| {
+                format!(
+                    "`window.noise` of {name} is {noise}, more than half of its range of {width}, so most of its values in the \
+                     training are bounds"
+                )
+            })
+        };
+        names.iter().zip(&windows.noise).zip(bounds).filter_map(large).collect()
     }
 
     /// Keys of names that no expression of the task or the policy uses.

@@ -87,6 +87,9 @@ fn is_absent(equations: &Replacement) -> bool {
     *equations == Replacement::default()
 }
 
+/// The first columns of a trajectory, before those of the state.
+pub const COLUMNS: [&str; 3] = ["sample", "step", "time"];
+
 /// A task as the policy sees it.
 #[derive(Clone)]
 pub struct Physics {
@@ -200,11 +203,12 @@ impl<K: TaskSpec> Settings<K> {
     /// Refuses a name that two columns of a trajectory would have.
     fn check_names(&self, states: &[String]) -> Result<(), ConfigError> {
         let controls = K::control_names(self);
-        let mut seen = HashSet::new();
-        match states.iter().chain(&controls).find(|name| !seen.insert(*name)) {
+        let others = COLUMNS.map(str::to_owned).into_iter();
+        let mut seen: HashSet<_> = others.chain(self.actuator.applied_names(&controls)).collect();
+        match states.iter().chain(&controls).find(|name| !seen.insert((*name).clone())) {
             Some(name) => {
-                let what = "is also the name of a component that the actuator or the sensor adds to \
-                            the state; choose another name";
+                let what = "is also the name of another column of trajectories: of their number, step or time, or of a \
+                            component that the actuator or the sensor adds; choose another name";
                 Err(ConfigError::new(name.clone(), what))
             }
             None => Ok(()),
@@ -229,19 +233,35 @@ impl<K: TaskSpec> Settings<K> {
     /// Names of the components that a policy observes of a task without the sensor: those of the
     /// state. A component of another observation has the name that its expression consists of, or
     /// else y_1, y_2, …
-    fn observation_names(&self, unsensed: &DynTask) -> Vec<String> {
-        let Some(count) = unsensed.observation_dim() else { return self.unsensed_states() };
+    ///
+    /// # Errors
+    /// A component without a name has that of a state or of another component.
+    fn observation_names(&self, unsensed: &DynTask) -> Result<Vec<String>, ConfigError> {
+        let states = self.unsensed_states();
+        let Some(count) = unsensed.observation_dim() else { return Ok(states) };
         let replaced = &self.equations.observe;
         let texts = if replaced.is_empty() { K::observe(self) } else { replaced.clone() };
-        let name = |i: usize| {
-            // Not the name of another component without a name.
-            let is_number = |text: &str| {
-                text.strip_prefix("y_").is_some_and(|rest| rest.parse::<usize>().is_ok())
-            };
+        let own = |i: usize| {
             let own = texts.get(i).map(|text| text.trim());
-            let own = own.filter(|text| text.split('.').all(is_name) && !is_number(text));
-            let is_first = own.is_some_and(|own| !texts[..i].iter().any(|text| text.trim() == own));
-            own.filter(|_| is_first).map_or_else(|| format!("y_{}", i + 1), str::to_owned)
+            own.filter(|text| text.split('.').all(is_name))
+                .filter(|own| !texts[..i].iter().any(|text| text.trim() == *own))
+        };
+        let name = |i: usize| match own(i) {
+            Some(own) => Ok(own.to_owned()),
+            None => {
+                let name = format!("y_{}", i + 1);
+                let is_other = states.contains(&name) || (0..count).any(|k| own(k) == Some(&name));
+                if !is_other {
+                    return Ok(name);
+                }
+                let section = if replaced.is_empty() { "system" } else { "equations" };
+                let what = format!(
+                    "component {} has no name of its own, so its name is `{name}`, which another number has; rename \
+                     that number, or define the component in `define` and write its name",
+                    i + 1
+                );
+                Err(ConfigError::new(format!("{section}.observe"), what))
+            }
         };
         (0..count).map(name).collect()
     }
@@ -250,7 +270,7 @@ impl<K: TaskSpec> Settings<K> {
     /// with the end of episodes, and with the sensor.
     pub fn physics(&self) -> Result<Physics, ConfigError> {
         let task = self.unsensed()?;
-        let observed = self.observation_names(&task);
+        let observed = self.observation_names(&task)?;
         let mut states = self.unsensed_states();
         let own = states.len();
         let task = if task.can_end() {

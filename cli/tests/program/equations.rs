@@ -141,6 +141,37 @@ fn errors_in_equations_name_the_line_and_the_column() {
 }
 
 #[test]
+fn a_name_has_one_meaning_in_observations_and_trajectories() {
+    let scene = |speed: &str, observe: &str| {
+        format!(
+            "scene = 1\ntask = \"equations\"\nprecision = \"f64\"\nhorizon = 5\nepochs = 1\n[system]\n\
+             states = [\"x\", \"{speed}\"]\ncontrols = [\"u\"]\ndt = 0.1\nobserve = [{observe}]\n\
+             start = {{ x = {{ uniform = [1, 2] }} }}\nrate = {{ x = \"{speed}\", {speed} = \"u\" }}\n\
+             [loss]\nrunning = \"x^2\"\n[policy]\nkind = \"equations\"\ncontrol.u = \"-x - {speed}\"\n"
+        )
+    };
+    let [swapped, plain, time] = [
+        scene("y_1", "\"x + 1\", \"x\", \"y_1\""),
+        scene("y_1", "\"x\", \"y_1\""),
+        scene("time", "\"x\", \"time\""),
+    ];
+    let error = |scene: &str| {
+        let dir = folder(scene);
+        error_of(physgrad(&["check", "own.toml"]).current_dir(dir.path()))
+    };
+    let found = error(&swapped);
+    assert!(found.contains("`system.observe` component 1 has no name of its own"), "{found}");
+    let found = error(&time);
+    assert!(found.contains("`time` is also the name of another column"), "{found}");
+    let dir = folder(&plain);
+    output(dir.path(), &["train", "own.toml", "--out", "run"]);
+    let rows = fs::read_to_string(dir.path().join("run/trajectory.csv")).expect("rows");
+    let row: Vec<&str> = rows.lines().nth(2).expect("a row").split(',').collect();
+    let [x, y_1, u] = [3, 4, 5].map(|column| row[column].parse::<f64>().expect("a number"));
+    assert!((x + y_1 + u).abs() < 1e-12 && y_1 != 0.0, "{row:?}");
+}
+
+#[test]
 fn equations_replace_the_costs_and_the_observation_of_a_built_in_task() {
     let scene = r#"scene = 1
 task = "cart_pole"

@@ -274,6 +274,10 @@ fn an_evaluation_reports_the_lengths_of_episodes_that_can_end() {
     assert!(lengths.iter().all(|length| (2.0..=13.0).contains(length)), "{lengths:?}");
     let mean = lengths.iter().sum::<f64>() / 20.0;
     assert_eq!(column(&read(&dir, "found/summary.csv"), "mean_length"), [mean]);
+    assert_eq!(column(&read(&dir, "found/summary.csv"), "ended_early"), [20.0]);
+    succeed(&dir, "robust a --grid system.dt=0.1:0.2:2 --samples 20 --out grid");
+    let steps = column(&read(&dir, "grid/robust.csv"), "mean_length");
+    assert!(6.0 < steps[0] && steps[0] < 9.0 && 1.5 * steps[1] < steps[0], "{steps:?}");
     // A trajectory ends with the state in which the episode ended.
     let rows = read(&dir, "a/trajectory.csv");
     let [steps, ended] = ["step", "ended"].map(|name| column(&rows, name));
@@ -329,6 +333,9 @@ fn noise_keeps_bounds_and_controls_that_stay_at_them_are_told() {
         let output = physgrad(&arguments, dir.path()).assert().success();
         let text = String::from_utf8(output.get_output().stderr.clone()).expect("text");
         assert!(!text.contains("skipped"), "{text}");
+        let loud = physgrad("check scene.toml --set window.noise=3", dir.path()).assert().success();
+        let loud = String::from_utf8(loud.get_output().stdout.clone()).expect("text");
+        assert!(loud.contains("is 3, more than half of its range of 2"), "{loud}");
         let told = "of the controls of the test set are at their bounds";
         assert_eq!(text.contains(told), is_told, "goal {goal}: {text}");
     }
