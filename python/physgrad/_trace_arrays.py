@@ -19,37 +19,55 @@ from typing import Any
 import numpy as np
 
 from ._trace_errors import PACKAGES
-from ._trace_numbers import check_dtype, is_traced
-from ._trace_vectors import Array, demote, finish, promote
+from ._trace_numbers import is_traced
+from ._trace_numpy import FUNCTIONS, full
+from ._trace_vectors import Array, demote, finish, of_dtype, promote
 
 CONVERTED = ("array", "asarray", "asanyarray", "ascontiguousarray")
 FILLED = ("zeros", "ones", "empty", "full", "eye", "identity")
+LIKE = ("zeros_like", "ones_like", "empty_like", "full_like")
 # Two tracers at once would restore each other's variables.
 LOCK = threading.RLock()
 TRACING: list[int] = []
 
 
 def converting(original: Callable) -> Callable:
-    def convert(value: Any, dtype: Any = None, **options: Any) -> Any:
+    first = "object" if original is np.array else "a"
+
+    def convert(*args: Any, **options: Any) -> Any:
+        options = dict(zip((first, "dtype", "order"), args)) | options
+        if first not in options or len(args) > 3:
+            return original(*args, **options)
+        value, dtype = options.pop(first), options.pop("dtype", None)
         copies = original is np.array and options.get("copy", True)
         if not is_traced(value) and not isinstance(value, Array):
             result = original(demote(value), dtype=dtype, **options)
             return promote(result) if copies else result
-        if dtype is not None:
-            check_dtype(dtype)
         if isinstance(value, Array) and options.keys() <= {"copy"}:
-            return Array.copy(value) if copies else value
-        return finish(original(value, dtype=object, **options))
+            result = Array.copy(value) if copies else value
+        else:
+            result = finish(original(value, dtype=object, **options))
+        return result if dtype is None else of_dtype(result, dtype)
 
     return convert
 
 
 def filling(original: Callable) -> Callable:
     def fill(*args: Any, **options: Any) -> Any:
-        if original is np.full and is_traced([*args[1:], options.get("fill_value")]):
-            return finish(original(*args, **{"dtype": object, **options}))
+        if original is np.full and is_traced([*args, *options.values()]):
+            return full(*args, **options)
         result = original(*args, **options)
         return promote(result.astype(float) if result.dtype == object else result)
+
+    return fill
+
+
+def like(original: Callable) -> Callable:
+    """NumPy asks traced numbers about np.full_like(a, b) only if `a` is an array of them."""
+
+    def fill(*args: Any, **options: Any) -> Any:
+        found = is_traced([*args, *options.values()])
+        return (FUNCTIONS[original.__name__] if found else original)(*args, **options)
 
     return fill
 
@@ -66,8 +84,9 @@ def on_the_thread(original: Callable, replacement: Callable) -> Callable:
 
 
 REPLACED = {
-    name: on_the_thread(original, (converting if name in CONVERTED else filling)(original))
-    for name, original in ((name, getattr(np, name)) for name in CONVERTED + FILLED)
+    name: on_the_thread(getattr(np, name), replacing(getattr(np, name)))
+    for names, replacing in ((CONVERTED, converting), (FILLED, filling), (LIKE, like))
+    for name in names
 }
 BY_ORIGINAL = {id(getattr(np, name)): replacement for name, replacement in REPLACED.items()}
 

@@ -20,11 +20,13 @@ from ._trace_numbers import (
     compare,
     invert,
     is_bool,
+    is_small,
     is_traced,
     lift,
     refuse,
+    refuse_small,
 )
-from ._trace_vectors import Array, finish, plain
+from ._trace_vectors import Array, finish, names_in, plain
 
 
 def rule(op: str) -> Callable:
@@ -82,6 +84,10 @@ def clip(a: Any, low: Any = None, high: Any = None) -> Any:
     """`min(max(a, low), high)`. An infinite bound has no effect."""
     low = None if low is None or not is_traced(low) and low == -math.inf else low
     high = None if high is None or not is_traced(high) and high == math.inf else high
+    given = [value for value in (a, low, high) if value is not None]
+    if all(map(is_bool, given)):
+        a = a if low is None else combine("or", a, low)
+        return a if high is None else combine("and", a, high)
     if low is not None and high is not None:
         return apply("clip", a, low, high)
     if low is not None:
@@ -202,25 +208,54 @@ def elementwise(function: Callable, *args: Any) -> Any:
 
 
 def check_small(args: Any) -> None:
-    """Refuses constants of float32 among conditions, for which NumPy computes in float32."""
-    small = any(getattr(arg, "dtype", None) in (np.float16, np.float32) for arg in args if not is_traced(arg))
+    """Refuses constants of small types among conditions, for which NumPy computes in these types."""
+    small = [arg for arg in args if isinstance(arg, (np.generic, np.ndarray)) and is_small(arg)]
     if small and not any(isinstance(value, TracedNumber) for arg in args for value in plain(arg).flat):
-        refuse(
-            TypeError,
-            "NumPy computes conditions and float32 constants in float32; make the constants float64",
-        )
+        refuse_small(small[0])
 
 
 def names_of(args: Any) -> tuple[str, ...] | None:
     """The names that all named arguments share."""
-    names = {arg._names for arg in args if isinstance(arg, Array) and arg._names is not None}
+    names = {names_in(arg) for arg in args if isinstance(arg, Array)} - {None}
     return names.pop() if len(names) == 1 else None
 
 
 def of_traced(name: str) -> Callable:
     """The rule of a function by elements, of which at least one is traced."""
     rule = ELEMENTWISE[name]
-    return rule if name in OF_ANY else lambda *args: rule(*map(lift, args))
+    if name in OF_ANY:
+        return rule
+
+    def function(*args: Any) -> Any:
+        if is_bool(args[0]) and all(map(is_bool, args)):
+            if name in OF_CONDITIONS:
+                return OF_CONDITIONS[name](*args)
+            check_conditions(name, len(args))
+        return rule(*map(lift, args))
+
+    return function
+
+
+# What NumPy computes of conditions as conditions.
+OF_CONDITIONS: dict[str, Callable] = {
+    "absolute": lambda a: a,
+    **dict.fromkeys(("maximum", "fmax"), lambda a, b: combine("or", a, b)),
+    **dict.fromkeys(("minimum", "fmin"), lambda a, b: combine("and", a, b)),
+}
+
+
+def check_conditions(name: str, count: int) -> None:
+    """Refuses functions that NumPy computes of conditions in a small type."""
+    try:
+        with np.errstate(all="ignore"):
+            found = getattr(np, name)(*[np.True_] * count)
+    except TypeError:
+        return
+    if is_small(found):
+        refuse(
+            TypeError,
+            f"NumPy computes np.{name} of conditions in {found.dtype}; multiply the conditions by 1.0 first",
+        )
 
 
 def of_numbers(name: str) -> Callable:

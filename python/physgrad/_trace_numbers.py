@@ -117,7 +117,11 @@ def choose(condition: Any, yes: Any, no: Any) -> Any:
             refuse(
                 TypeError, "the condition of np.where is a number; compare it, as in `np.where(a > 0, b, c)`"
             )
-        return yes if condition else no
+        chosen = yes if condition else no
+        if is_bool(yes) and is_bool(no):
+            return chosen if isinstance(chosen, Condition) else np.bool_(chosen)
+        # NumPy gives both the same type.
+        return lift(chosen) if isinstance(chosen, Symbol) else np.float64(chosen)
     check_call(condition)
     if is_bool(yes) and is_bool(no):
         return (condition & yes) | (~condition & no)
@@ -137,7 +141,8 @@ def combine(op: str, a: Any, b: Any) -> Any:
                 f"`&`, `|` and `~` need comparisons, as in `(a < x) & (x < b)`, not {type(one).__name__}",
             )
         if not isinstance(one, Condition) and is_bool(other):
-            return other if bool(one) == (op == "and") else bool(one)
+            found = other if bool(one) == (op == "and") else one
+            return found if isinstance(found, Condition) else np.bool_(found)
     check_call(a)
     check_call(b)
     return Condition(a.call, a.call.graph.apply(op, a.id, b.id))
@@ -145,7 +150,7 @@ def combine(op: str, a: Any, b: Any) -> Any:
 
 def invert(a: Any) -> Any:
     if not isinstance(a, Condition):
-        return not a if is_bool(a) else combine("and", a, True)
+        return np.bool_(not a) if is_bool(a) else combine("and", a, True)
     check_call(a)
     op, *args = a.call.graph.nodes[a.id]
     return Condition(a.call, args[0] if op == "not" else a.call.graph.apply("not", a.id))
@@ -155,6 +160,13 @@ class Operators:
     """Operators and functions of NumPy, by the rules that `_trace_numpy` gives to this class."""
 
     __slots__ = ()
+
+
+LOOKED_UP = (
+    "a traced number or a condition is looked up in a dict or a set, or is an argument of a function with a "
+    "cache. Its value is not known while the function is traced. Write `np.where(condition, a, b)` in place "
+    "of the lookup, and leave the cache out"
+)
 
 
 class Symbol(Operators):
@@ -183,7 +195,9 @@ class Symbol(Operators):
         return self
 
     __copy__ = __deepcopy__ = __pos__ = copy = item = conj = conjugate = _same
-    __hash__ = object.__hash__
+
+    def __hash__(self) -> int:
+        refuse(TypeError, LOOKED_UP)
 
     def __repr__(self) -> str:
         from ._trace_graph import Text
@@ -236,7 +250,6 @@ for method, function in {"neg": np.negative, "abs": np.absolute, "invert": np.in
 
 class TracedNumber(Symbol):
     __slots__ = ()
-    __hash__ = object.__hash__
 
     def __bool__(self) -> bool:
         refuse(TypeError, BRANCH.format(what="a traced number", hint=branch_hint()))
@@ -291,7 +304,6 @@ class Condition(Symbol):
     """A comparison of traced numbers."""
 
     __slots__ = ()
-    __hash__ = object.__hash__
 
     def __bool__(self) -> bool:
         refuse(TypeError, BRANCH.format(what="a comparison of traced numbers", hint=branch_hint()))
@@ -304,13 +316,25 @@ class Condition(Symbol):
 
 
 def check_dtype(dtype: Any, integers: bool = False) -> None:
-    """Refuses a dtype that would change numbers."""
+    """Refuses a dtype that would change numbers. Integers of less than 64 bits overflow soon."""
     kind = np.dtype(dtype)
-    if kind != np.float64 and kind != object and not (integers and kind.kind in "iu"):
+    if kind != np.float64 and kind != object and not (integers and kind in (np.int64, int)):
         refuse(
             TypeError,
             f"a traced number is a float64, not a {kind}. Leave out the dtype: `precision` selects it",
         )
+
+
+def is_small(value: Any) -> bool:
+    """Whether a constant is of fewer bits than a float64 or an `int`, or without negative numbers."""
+    kind = base(value).dtype if isinstance(value, np.ndarray) else value.dtype
+    full = {"i": np.dtype(int), "f": np.dtype(float)}
+    return kind.kind == "u" or kind.kind in full and kind.itemsize < full[kind.kind].itemsize
+
+
+def refuse_small(value: Any) -> NoReturn:
+    kind = value.dtype
+    refuse(TypeError, f"NumPy computes conditions and {kind} constants in {kind}; make the constants float64")
 
 
 def base(array: np.ndarray) -> np.ndarray:

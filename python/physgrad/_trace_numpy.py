@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -28,12 +28,13 @@ from ._trace_numbers import (
     base,
     choose,
     compare,
+    is_bool,
     is_traced,
     lift,
     refuse,
 )
 from ._trace_reductions import mean, norm, reduce, reduction, total, variance
-from ._trace_vectors import Array, demote, finish, plain, promote
+from ._trace_vectors import Array, as_numbers, demote, finish, of_dtype, plain, promote
 
 EQUAL = (
     "a traced function cannot ask whether numbers are equal. Write "
@@ -91,7 +92,14 @@ def traced_ufunc(function: np.ufunc, method: str, args: tuple, options: dict) ->
         return matmul(*args) if name == "matmul" else unsupported(name)
     # A function of another package may have the name of one of NumPy.
     known = getattr(np, name, None)
-    if name not in ELEMENTWISE or isinstance(known, np.ufunc) and known is not function:
+    other = known is None and not name.endswith("(vectorized)")
+    if other or isinstance(known, np.ufunc) and known is not function:
+        instead = f"np.{name}" if known else "it with functions of NumPy"
+        refuse(
+            TypeError,
+            f"`{name}` of another package than NumPy is not supported in a traced function; write {instead}",
+        )
+    if name not in ELEMENTWISE:
         unsupported(name)
     if method == "__call__":
         return elementwise(of_numbers(name), *args)
@@ -99,7 +107,8 @@ def traced_ufunc(function: np.ufunc, method: str, args: tuple, options: dict) ->
         axis, keepdims = options.get("axis", args[1] if len(args) > 1 else 0), options.get("keepdims", False)
         return reduce(name, args[0], axis, bool(keepdims), options.get("initial"))
     if method == "accumulate":
-        return finish(getattr(function, method)(plain(args[0]), axis=options.get("axis", 0)))
+        array = as_numbers(plain(args[0])) if name in ("add", "multiply") else plain(args[0])
+        return finish(getattr(function, method)(array, axis=options.get("axis", 0)))
     if method == "outer":
         a, b = map(plain, args)
         return elementwise(of_numbers(name), a.reshape(a.shape + (1,) * b.ndim), b)
@@ -127,11 +136,27 @@ def write(out: tuple, result: Any) -> Any:
 
 
 def matmul(a: Any, b: Any, out: Any = None) -> Any:
-    check_small((a, b))
-    a, b = plain(a), plain(b)
+    a, b = factors(a, b)
     if a.ndim == 0 or b.ndim == 0 or a.shape[-1] != b.shape[max(b.ndim - 2, 0)]:
         refuse(ValueError, f"a product of shapes {a.shape} and {b.shape}: the inner dimensions differ")
     return finish(np.matmul(a, b))
+
+
+def factors(*args: Any, added: bool = True) -> list:
+    """Arrays whose products may be added. Those of conditions alone are conditions in NumPy."""
+    check_small(args)
+    arrays = list(map(plain, args))
+    values = [value for array in arrays for value in array.flat]
+    if any(map(is_bool, values)):
+        if all(map(is_bool, values)):
+            if not added:
+                return list(map(finish, arrays))
+            refuse(
+                TypeError,
+                "the sum of products of conditions is a condition in NumPy. Multiply one array by 1.0 first",
+            )
+        arrays = list(map(as_numbers, arrays))
+    return arrays
 
 
 def dot(a: Any, b: Any) -> Any:
@@ -198,15 +223,50 @@ def polyval(p: Any, x: Any) -> Any:
 
 def filled(value: float) -> Callable:
     def function(
-        array: Any, dtype: Any = None, order: Any = None, subok: bool = True, shape: Any = None
+        a: Any,
+        dtype: Any = None,
+        order: Any = None,
+        subok: bool = True,
+        shape: Any = None,
+        *,
+        device: Any = None,
     ) -> Any:
-        return promote(np.full(np.shape(array) if shape is None else shape, value))[()]
+        missing = math.isnan(value) and dtype_like(a, dtype).kind != "f"
+        return full_like(a, 0 if missing else value, dtype, order, subok, shape)
 
     return function
 
 
-def full_like(array: Any, value: Any, **_: Any) -> Any:
-    return finish(np.broadcast_to(plain(value), np.shape(array)).copy())
+def full_like(
+    a: Any,
+    fill_value: Any,
+    dtype: Any = None,
+    order: Any = None,
+    subok: bool = True,
+    shape: Any = None,
+    *,
+    device: Any = None,
+) -> Any:
+    return full(plain(a).shape if shape is None else shape, fill_value, dtype_like(a, dtype))
+
+
+def dtype_like(a: Any, dtype: Any) -> np.dtype:
+    """The dtype of an array that is like another one, whose elements NumPy would have."""
+    if dtype is not None:
+        return np.dtype(dtype)
+    array = plain(a)
+    if not is_traced(a) and isinstance(a, (np.ndarray, np.generic, list, tuple)):
+        return np.asarray(demote(a)).dtype
+    return np.dtype(bool if array.size and all(map(is_bool, array.flat)) else float)
+
+
+def full(shape: Any, fill_value: Any, dtype: Any = None, order: Any = None, **_: Any) -> Any:
+    """np.full, whose own copies would be those of arrays of fixed numbers."""
+    if not is_traced(fill_value):
+        result = np.full(shape, demote(fill_value), dtype)
+        return finish(plain(result)) if result.dtype == np.bool_ else promote(result)[()]
+    out = finish(np.broadcast_to(plain(fill_value), shape).copy())
+    return out if dtype is None else of_dtype(out, dtype)
 
 
 def limit(
@@ -269,6 +329,10 @@ OF_OBJECTS = frozenset(
     "trace transpose tril triu vdot vsplit vstack matrix_transpose unstack convolve".split()
 )
 
+# Those that count conditions, and those that add products or differences.
+OF_SUMS = frozenset(("cumsum", "cumprod", "trace"))
+OF_PRODUCTS = frozenset(("inner", "vdot", "tensordot", "convolve", "cross", "outer", "kron"))
+
 # Functions that change their first argument.
 IN_PLACE = frozenset("copyto put place putmask fill_diagonal put_along_axis".split())
 
@@ -278,6 +342,15 @@ def strip(value: Any) -> Any:
     if type(value) in (list, tuple):
         return type(value)(map(strip, value))
     return plain(value) if isinstance(value, (Array, TracedNumber, Condition)) else value
+
+
+def leaves(value: Any) -> Iterator:
+    """The arrays and numbers in lists of any nesting."""
+    if type(value) in (list, tuple):
+        for part in value:
+            yield from leaves(part)
+    else:
+        yield value
 
 
 def restore(value: Any) -> Any:
@@ -312,6 +385,12 @@ def array_function(function: Callable, args: tuple, kwargs: dict) -> Any:
             refuse(
                 TypeError, f"np.{name} with these arguments is not supported in a traced function: {error}"
             )
+    if name in OF_OBJECTS and not constants:
+        check_small(list(leaves(args)))
+    if name in OF_SUMS and not constants:
+        args = (*(as_numbers(plain(arg)) for arg in args[:1]), *args[1:])
+    elif name in OF_PRODUCTS and not constants:
+        args = (*factors(*args[:2], added=name not in ("outer", "kron")), *args[2:])
     if name in OF_OBJECTS:
         return restore(function(*map(strip, args), **{key: strip(value) for key, value in kwargs.items()}))
     if constants:

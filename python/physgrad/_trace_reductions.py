@@ -8,16 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from ._trace_elements import check_options, elementwise, of_numbers
-from ._trace_numbers import Condition, lift, refuse
-from ._trace_vectors import finish, plain
+from ._trace_elements import check_options, of_numbers
+from ._trace_numbers import is_bool, refuse
+from ._trace_vectors import as_numbers, finish, plain
 
 
 def reduce(name: str, value: Any, axis: Any = None, keepdims: bool = False, initial: Any = None) -> Any:
     """Combines the elements along axes, in the order of NumPy."""
     array = plain(value)
-    if name in ("add", "multiply", "maximum", "minimum"):
-        array = plain(elementwise(lambda a: lift(a) if isinstance(a, Condition) else a, array))
+    # NumPy counts conditions. Their maximum is a condition.
+    of_conditions = name.startswith("logical") or all(map(is_bool, array.flat))
+    if name in ("add", "multiply") or not of_conditions:
+        array = as_numbers(array)
     axes = axes_of(axis, array.ndim)
     if not axes:
         return finish(array.copy())
@@ -33,6 +35,11 @@ def reduce(name: str, value: Any, axis: Any = None, keepdims: bool = False, init
         parts = list(row) if initial is None or initial is np._NoValue else [initial, *row]
         out[i] = combine_all(name, parts, in_pairs)
     return finish(out.reshape(lead if shape is None else shape))
+
+
+def keeps(keepdims: Any) -> bool:
+    """Whether a reduction keeps its axes. NumPy takes 1 for True."""
+    return keepdims is not np._NoValue and bool(keepdims)
 
 
 def axes_of(axis: Any, dimensions: int) -> list[int]:
@@ -86,18 +93,18 @@ def total(
     initial: Any = None,
 ) -> Any:
     check_options("sum", {"dtype": dtype, "out": out})
-    return reduce("add", value, axis, keepdims is True, initial)
+    return reduce("add", value, axis, keeps(keepdims), initial)
 
 
 def mean(value: Any, axis: Any = None, dtype: Any = None, out: Any = None, keepdims: Any = False) -> Any:
     check_options("mean", {"dtype": dtype, "out": out})
-    sums = reduce("add", value, axis, keepdims is True)
+    sums = reduce("add", value, axis, keeps(keepdims))
     return sums / float(np.size(value) / max(np.size(sums), 1))
 
 
 def variance(value: Any, axis: Any = None, ddof: float = 0, keepdims: Any = False) -> Any:
     deviations = finish(plain(value)) - mean(value, axis, keepdims=True)
-    sums = reduce("add", deviations * deviations, axis, keepdims is True)
+    sums = reduce("add", deviations * deviations, axis, keeps(keepdims))
     return sums / float(np.size(value) / max(np.size(sums), 1) - ddof)
 
 
@@ -106,14 +113,14 @@ def reduction(name: str) -> Callable:
         value: Any, axis: Any = None, out: Any = None, keepdims: Any = False, initial: Any = None
     ) -> Any:
         check_options(name, {"out": out})
-        return reduce(name, value, axis, keepdims is True, initial)
+        return reduce(name, value, axis, keeps(keepdims), initial)
 
     return function
 
 
 def norm(x: Any, ord: Any = None, axis: Any = None, keepdims: bool = False) -> Any:
     """The Euclidean norm of vectors, the sum and the maximum of absolute values, and the Frobenius norm."""
-    array = finish(plain(x))
+    array = finish(as_numbers(plain(x)))
     axes = array.ndim if axis is None else 1 if isinstance(axis, int) else len(axis)
     if ord is None or (ord == 2 and axes == 1) or (ord == "fro" and axes == 2):
         return np.sqrt(reduce("add", array * array, axis, keepdims))

@@ -15,10 +15,12 @@ from ._trace_numbers import (
     base,
     check_dtype,
     is_bool,
+    is_small,
     is_traced,
     lift,
     name,
     refuse,
+    refuse_small,
 )
 
 
@@ -38,6 +40,11 @@ def plain(value: Any) -> np.ndarray:
     return box
 
 
+def truth(value: Any) -> Any:
+    """A condition that is assigned to an array. Constants count as NumPy's, not as those of Python."""
+    return value if isinstance(value, Symbol) else np.bool_(value)
+
+
 def element(value: Any) -> Any:
     """An element that is assigned to an array of float64."""
     if isinstance(value, (np.ndarray, list, tuple)):
@@ -46,6 +53,26 @@ def element(value: Any) -> Any:
             "an array is made of rows of different lengths; join them by np.concatenate or np.hstack",
         )
     return lift(value) if isinstance(value, Symbol) else np.float64(value)
+
+
+def as_numbers(array: np.ndarray) -> np.ndarray:
+    """An array of objects with numbers in place of conditions."""
+    if not any(map(is_bool, array.flat)):
+        return array
+    out = np.empty(array.shape, dtype=object)
+    for index in np.ndindex(array.shape):
+        out[index] = element(array[index]) if is_bool(array[index]) else array[index]
+    return out
+
+
+def of_dtype(value: Any, dtype: Any) -> Any:
+    """Traced numbers or conditions with a dtype of NumPy. Refuses a dtype that would change them."""
+    array = plain(value)
+    of_conditions = array.size > 0 and all(map(is_bool, array.flat))
+    if of_conditions and np.dtype(dtype) == np.bool_:
+        return value
+    check_dtype(dtype, integers=of_conditions)
+    return value if np.dtype(dtype) == object or not of_conditions else finish(as_numbers(array))
 
 
 def finish(array: Any, names: tuple[str, ...] | None = None) -> Any:
@@ -62,13 +89,24 @@ def finish(array: Any, names: tuple[str, ...] | None = None) -> Any:
         for index in np.ndindex(array.shape):
             value = mixed[index]
             array[index] = value.item() if isinstance(value, np.ndarray) and value.ndim == 0 else value
-        if not all(map(is_bool, array.flat)):
-            for index in np.ndindex(array.shape):
-                array[index] = element(array[index])
+        of_conditions = all(map(is_bool, array.flat))
+        if not of_conditions and not any(isinstance(value, TracedNumber) for value in array.flat):
+            check_joined(mixed)
+        for index in np.ndindex(array.shape):
+            array[index] = truth(array[index]) if of_conditions else element(array[index])
     result = array.view(Array)
     if names is not None and result.shape == (len(names),):
         object.__setattr__(result, "_names", names)
     return result
+
+
+def check_joined(array: np.ndarray) -> None:
+    """Refuses conditions that NumPy joins with constants of a small type to an array of that type."""
+    constants = [value for value in array.flat if not isinstance(value, Symbol)]
+    if len(constants) < array.size and any(isinstance(value, (np.generic, np.ndarray)) for value in constants):
+        joined = np.array(constants)
+        if is_small(joined):
+            refuse_small(joined)
 
 
 def demote(value: Any) -> Any:
@@ -81,9 +119,14 @@ def demote(value: Any) -> Any:
 
 def promote(value: Any) -> Any:
     """A new array of float64 that can hold traced numbers."""
-    if isinstance(value, np.ndarray) and base(value).dtype == np.float64 and value.ndim > 0:
+    if isinstance(value, np.ndarray) and base(value).dtype == np.float64:
         return plain(value).view(Array)
     return value
+
+
+def names_in(array: Array) -> tuple[str, ...] | None:
+    """The names of the components, also if one of them is `_names`."""
+    return object.__getattribute__(array, "_names")
 
 
 class Array(Operators, np.ndarray):
@@ -95,7 +138,7 @@ class Array(Operators, np.ndarray):
     _given = False
 
     def __getattribute__(self, name: str) -> Any:
-        names = object.__getattribute__(self, "_names")
+        names = names_in(self)
         if names is not None and name in names:
             return np.ndarray.__getitem__(self, names.index(name))
         return super().__getattribute__(name)
@@ -103,15 +146,15 @@ class Array(Operators, np.ndarray):
     def __getattr__(self, name: str) -> NoReturn:
         if name.startswith("__"):
             raise AttributeError(name)
-        fail(AttributeError, self._unknown(name))
+        fail(AttributeError, Array._unknown(self, name))
 
     def _unknown(self, name: str) -> str:
-        if self._names is None:
+        if names_in(self) is None:
             return f"this array has no `{name}`; names are those of x, u, next and their copies"
-        return f"there is no `{name}`{near(name, self._names)}"
+        return f"there is no `{name}`{near(name, names_in(self))}"
 
     def __setattr__(self, name: str, value: Any) -> None:
-        names = object.__getattribute__(self, "_names")
+        names = names_in(self)
         if names is not None and name in names:
             if object.__getattribute__(self, "_given"):
                 refuse(
@@ -123,7 +166,7 @@ class Array(Operators, np.ndarray):
         elif hasattr(np.ndarray, name):
             super().__setattr__(name, value)
         else:
-            refuse(AttributeError, self._unknown(name))
+            refuse(AttributeError, Array._unknown(self, name))
 
     def _index(self, key: Any) -> Any:
         if (
@@ -133,11 +176,10 @@ class Array(Operators, np.ndarray):
             and all(isinstance(part, str) for part in key)
         ):
             for part in [key] if isinstance(key, str) else key:
-                if self._names is None or part not in self._names:
-                    refuse(LookupError, self._unknown(part))
-            return (
-                self._names.index(key) if isinstance(key, str) else [self._names.index(part) for part in key]
-            )
+                if names_in(self) is None or part not in names_in(self):
+                    refuse(LookupError, Array._unknown(self, part))
+            names = names_in(self)
+            return names.index(key) if isinstance(key, str) else [names.index(part) for part in key]
         if is_traced(key):
             refuse(
                 IndexError,
@@ -148,19 +190,19 @@ class Array(Operators, np.ndarray):
         return demote(key)
 
     def __getitem__(self, key: Any) -> Any:
-        index = self._index(key)
+        index = Array._index(self, key)
         result = super().__getitem__(index)
         whole = index is Ellipsis or isinstance(index, slice) and index == slice(None)
-        return finish(result, self._names) if whole else result
+        return finish(result, names_in(self)) if whole else result
 
     def __setitem__(self, key: Any, value: Any) -> None:
-        index, values, target = self._index(key), plain(value), base(self)
+        index, values, target = Array._index(self, key), plain(value), base(self)
         of_conditions = target.size > 0 and all(map(is_bool, target.flat))
         if of_conditions and not all(map(is_bool, values.flat)):
             refuse(TypeError, "an array of conditions is assigned a number; assign a comparison")
         boxed = np.empty(values.shape, dtype=object)
         for place in np.ndindex(values.shape):
-            boxed[place] = values[place] if of_conditions else element(values[place])
+            boxed[place] = truth(values[place]) if of_conditions else element(values[place])
         # An array in one place would become an element of its own.
         if np.ndim(target[index]) == 0 and boxed.ndim > 0:
             if boxed.size != 1:
@@ -188,7 +230,8 @@ class Array(Operators, np.ndarray):
         refuse(TypeError, "`put` is not supported in a traced function; assign the elements")
 
     def copy(self, order: str = "C") -> Array:
-        return finish(base(self).copy(order), self._names)
+        copied = base(self).copy(order)
+        return finish(copied, names_in(self)) if copied.ndim else copied.view(Array)
 
     def __copy__(self) -> Array:
         return Array.copy(self)
@@ -199,12 +242,7 @@ class Array(Operators, np.ndarray):
     def astype(self, dtype: Any, **_: Any) -> Any:
         if not is_traced(self):
             return promote(demote(self).astype(dtype))
-        if not all(map(is_bool, base(self).flat)):
-            check_dtype(dtype)
-        elif np.dtype(dtype) != np.bool_:
-            check_dtype(dtype, integers=True)
-            return finish(plain([element(value) for value in base(self).flat])).reshape(base(self).shape)
-        return finish(base(self).copy(), self._names)
+        return finish(of_dtype(Array.copy(self), dtype), names_in(self))
 
     def dot(self, other: Any) -> Any:
         return np.dot(self, other)
@@ -219,7 +257,17 @@ class Array(Operators, np.ndarray):
         return np.argsort(self, *args, **options)
 
     def item(self, *index: Any) -> Any:
-        return base(self).item(*index)
+        return of_python(base(self).item(*index))
+
+    def tolist(self) -> Any:
+        return of_python(base(self).tolist())
+
+
+def of_python(value: Any) -> Any:
+    """Constant conditions as those of Python, in lists of any nesting."""
+    if isinstance(value, list):
+        return list(map(of_python, value))
+    return bool(value) if isinstance(value, np.bool_) else value
 
 
 def vector(names: Iterable[str], prefix: str = "") -> Array:
@@ -230,6 +278,11 @@ def vector(names: Iterable[str], prefix: str = "") -> Array:
     result = finish(box, names)
     object.__setattr__(result, "_given", True)
     return result
+
+
+def values_in(parameters: Parameters) -> dict[str, Any]:
+    """The values by name, also if a name is `_values`."""
+    return object.__getattribute__(parameters, "_values")
 
 
 class Parameters:
@@ -244,7 +297,7 @@ class Parameters:
             object.__setattr__(self, "dt", dt)
 
     def __getattribute__(self, name: str) -> Any:
-        values = object.__getattribute__(self, "_values")
+        values = values_in(self)
         if name not in values:
             return object.__getattribute__(self, name)
         object.__getattribute__(self, "_used").add(name)
@@ -253,14 +306,14 @@ class Parameters:
     def __getattr__(self, name: str) -> NoReturn:
         if name.startswith("__"):
             raise AttributeError(name)
-        fail(AttributeError, f"there is no parameter `{name}`{near(name, self._values)}")
+        fail(AttributeError, f"there is no parameter `{name}`{near(name, values_in(self))}")
 
     def __getitem__(self, key: Any) -> Any:
         if isinstance(key, str):
-            if key not in self._values and (key != "dt" or key not in vars(self)):
-                refuse(LookupError, f"there is no parameter `{key}`{near(key, self._values)}")
+            if key not in values_in(self) and (key != "dt" or key not in vars(self)):
+                refuse(LookupError, f"there is no parameter `{key}`{near(key, values_in(self))}")
             return getattr(self, key)
-        return list(self._values.values())[key]
+        return list(values_in(self).values())[key]
 
     def __setattr__(self, name: str, value: Any) -> NoReturn:
         refuse(AttributeError, f"the parameter `{name}` does not change; use a variable of another name")
@@ -268,19 +321,19 @@ class Parameters:
     __setitem__ = __setattr__
 
     def __iter__(self) -> Iterator:
-        return iter(self._values.values())
+        return iter(values_in(self).values())
 
     def __len__(self) -> int:
-        return len(self._values)
+        return len(values_in(self))
 
     def __contains__(self, name: str) -> bool:
-        return name in self._values
+        return name in values_in(self)
 
     def keys(self) -> Iterable[str]:
-        return self._values.keys()
+        return values_in(self).keys()
 
     def values(self) -> Iterable[Any]:
-        return self._values.values()
+        return values_in(self).values()
 
     def items(self) -> Iterable[tuple[str, Any]]:
-        return self._values.items()
+        return values_in(self).items()

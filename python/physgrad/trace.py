@@ -23,7 +23,7 @@ from ._import_jax import JaxFunction
 from ._trace_arrays import constructors
 from ._trace_errors import begin, near, place_of
 from ._trace_graph import FUNCTIONS, Graph, Text
-from ._trace_numbers import CALLS, Call, Condition, compare, is_traced, lift
+from ._trace_numbers import CALLS, Call, Condition, check_call, compare, is_traced, lift
 from ._trace_vectors import Parameters, plain, vector
 
 __all__ = ["detach", "system", "trace_settings"]
@@ -335,6 +335,7 @@ def condition(function: Function, result: Any) -> Condition:
     if isinstance(function, CasadiFunction) and is_traced(result):
         result = compare("gt", result, 0.5)
     if isinstance(result, Condition):
+        check_call(result)
         return result
     found = shape_of(result) if is_traced(result) or np.size(result) > 1 else repr(result)
     raise TypeError(f"{begin(function)} returned {found}; `end` returns {EXPECTED['end']}")
@@ -388,10 +389,11 @@ def traced(graph: Graph, plan: Plan, role: str, function: Function) -> list[int]
 def equations(plan: Plan, functions: dict[str, Function]) -> dict[str, Any]:
     """Definitions, and expressions by function."""
     graph = Graph()
-    # Equal operations of a second call are the same nodes.
+    # Equal operations of a second call are the same nodes. Its order is another one, for functions that
+    # share a variable.
     outputs, again = (
-        {role: traced(graph, plan, role, function) for role, function in functions.items()}
-        for _ in range(2)
+        {role: traced(graph, plan, role, functions[role]) for role in roles}
+        for roles in ([*functions], [*reversed(functions)])
     )
     for role, function in functions.items():
         if outputs[role] != again[role]:

@@ -118,7 +118,86 @@ def conditions_in_place(x):
     return np.where(over, x, -x)
 
 
+def number_in_an_array(x):
+    a, b = np.zeros(()), np.array(0.5)
+    a[()] = x[0]
+    b += x[1]
+    a *= 2.0
+    return [a, b[()], np.stack([a, b])[1] - b.copy()]
+
+
+def conditions_like(x):
+    over, all_over = np.zeros_like(x > 0), np.ones_like(x, dtype=bool)
+    over[0] = all_over[1] = x[0] > x[1]
+    return np.where(over, x, np.where(all_over, 2 * x, 1.0)) + (over[1] + over[2]) + all_over[0]
+
+
+def kept(x, keepdims):
+    """Kept axes broadcast in another way than those that are left out."""
+    m = np.outer(x, x)
+    over = [np.where(part(m > 0.1, axis=1, keepdims=keepdims), m, 1.0) for part in (np.any, np.all)]
+    return sum([*over, *(m + part(m, axis=1, keepdims=keepdims) for part in (np.max, np.min, np.prod))])[1]
+
+
+def kept_sums(x, keepdims):
+    m = np.outer(x, x)
+    parts = [part(m, axis=1, keepdims=keepdims) for part in (np.sum, np.mean, np.var, np.std)]
+    parts += [m.sum(1, keepdims=keepdims), m.mean(axis=1, keepdims=keepdims)]
+    parts += [np.add.reduce(m, 1, keepdims=keepdims)]
+    return sum(m + part for part in parts)[1]
+
+
 EXACT = {
+    "number in an array": number_in_an_array,
+    "filled with a number": lambda x, u: (
+        np.full(3, x[0])
+        + np.full((3,), fill_value=u[0])
+        + np.full((2, 3), x)[1]
+        + np.full_like([1.0, 2.0, 3.0], u[1])
+        + np.full((3,), x[0] > 0)
+        + np.full_like(x, [x[2], 1, 2], dtype=float)
+    ),
+    "arrays by the names of NumPy": lambda x: (
+        np.array(object=[x[0], 1.0, x[2]]) + np.asarray(a=[1, 2, x[1]]) + np.asarray([x[0]], float, "C")
+    ),
+    "dtypes of arrays that are like others": lambda x: (
+        np.zeros_like(x, dtype=np.float64)
+        + np.ones_like(x, dtype=int) / 2 * x
+        + np.full_like(x, 2.7, dtype=int)
+        + np.full_like(x > 0, 2.0) * x
+        + np.full_like(x, 0.1, dtype=np.float32)
+        + np.empty_like(x, dtype=bool, shape=()) * 0.0
+    ),
+    "conditions that are like others": conditions_like,
+    "constants among conditions": lambda x: [
+        (lambda a: [a[0] + a[2], np.where(~a[0], 5.0, x[1]), a[2] | a[0]])(np.array([True, x[0] > 0, True]))[i]
+        * x[i]
+        for i in range(3)
+    ],
+    "inverted constants among conditions": lambda x: [
+        (lambda a: ~a[0] * 1.0 + x[0])(np.array([True, x[0] > 0])),
+        (lambda a: sum([~(a & a)[0], a.item(0) + a.tolist()[0], *(a | True)]) * x[1])(
+            np.array([True, x[0] > 0])
+        ),
+        (lambda a: (a[0] + a[1]) * x[2])(np.where([True, True, False], True, x > 0)),
+    ],
+    "counts with constants": lambda x: (
+        (lambda a: np.sum(a) + np.cumsum(a) + np.trace(np.stack([a, a])) + np.prod(a) + x)(
+            np.array([True, True, x[0] > 0])
+        )
+    ),
+    "largest of conditions": lambda x: (
+        (np.maximum(x[0] > 0, x[1] > 0) | np.minimum(x[0] > 0, x[2] > 0)) * x
+        + np.abs(x > 0)
+        + np.where(np.max(x > 0) & ~np.min(x > 1), x, np.fmax(x > 0, x[0] > 1))
+        + np.clip(x > 0, False, x[1] > 0)
+    ),
+    "integers of conditions": lambda x: (x > 0).astype(int) - 1 + (x[0] > 0).astype(np.int64) * x,
+    "where of a constant condition": lambda x: [
+        np.where(True, np.float32(0.1), x[0]) * 3.0,
+        np.where(False, x[0], True) + np.where(True, True, x[0]),
+        np.where(True, 1, x[0]) / 3 + x[1],
+    ],
     "operators": lambda x, u: [
         x[0] + u[0] * x[1] - x[2] / u[1],
         -x[0] - -u[0],
@@ -314,6 +393,15 @@ def test_arithmetic_has_the_bits_of_numpy(name):
         check("step", EXACT[name], params=PARAMS)
 
 
+@pytest.mark.parametrize("keepdims", [True, 1, 0])
+def test_axes_are_kept_as_numpy_keeps_them(keepdims):
+    check("rate", lambda x: kept(x, keepdims))
+    check("rate", lambda x: kept_sums(x, keepdims), lambda a, b: close(a, b, 1e-13))
+    # Some releases of NumPy take np.True_ too.
+    texts = [Case("rate", lambda x: kept(x, value), 3).texts() for value in (bool(keepdims), np.bool_(keepdims))]
+    assert texts[0] == texts[1]
+
+
 @pytest.mark.parametrize("name", SUMS)
 def test_sums_add_in_the_order_of_numpy(name):
     check("rate", SUMS[name], lambda a, b: a == b or same(a, b))
@@ -398,6 +486,18 @@ def test_names_of_parameters_may_be_those_of_methods():
         lambda x, p: x * p.values * p["keys"], states=1, params={"values": 1, "keys": 2}, dt=0.1
     )
     assert settings["system"]["rate"]["x1"] == "x1 * values * keys"
+
+
+def test_names_of_the_package_are_names():
+    def rate(x, p):
+        y = x * p["_values"] + p._used + np.where(x > 0, x, p._values)
+        y._index = y._names + y["_given"]
+        return y[:].copy() + x._unknown
+
+    labels = ["_names", "_given", "_index", "_unknown", "_value"]
+    check("rate", rate, states=labels, controls=0, params={"_values": 2.0, "_used": 3.0})
+    with pytest.raises(AttributeError, match="there is no `x`"):
+        trace.trace_settings(lambda x: x * x.x, states=labels, dt=0.1)
 
 
 def tanks(x, u, p, t):

@@ -1,5 +1,6 @@
 """Functions that cannot become equations are refused, with the line and what to write."""
 
+import functools
 import math
 import re
 import sys
@@ -128,6 +129,13 @@ def unknown_assignment(x):
     return next
 
 
+def caught_lookup(x):
+    try:
+        return x * {1.0: 10.0}.get(x[0], 1.0)
+    except TypeError:
+        return x
+
+
 def assigned_argument(x):
     x.x2 = 1.0
     return x
@@ -141,8 +149,35 @@ def caught_assignment(x):
     return x
 
 
+@functools.lru_cache
+def remembered(a):
+    return 2 * a
+
+
+LOOKED_UP = r"looked up in a dict or a set, .*`np\.where\(condition, a, b\)`"
+
 # Name, function, type of the error, words of the message.
 WRONG = [
+    ("lookup", lambda x, p: x * {1.0: 10.0}.get(p.gain, 1.0), TypeError, LOOKED_UP),
+    ("set", lambda x, p: x if p.gain in {1.0, 2.0} else -x, TypeError, LOOKED_UP),
+    ("lookup of a condition", lambda x: x * {True: 2.0}.get(x[0] > 0, 1.0), TypeError, LOOKED_UP),
+    ("key of a number", lambda x: list({x[0]: 1.0, x[1]: 2.0}), TypeError, LOOKED_UP),
+    ("cache", lambda x: [remembered(x[0]), x[1]], TypeError, "leave the cache out"),
+    ("caught lookup", caught_lookup, TypeError, LOOKED_UP),
+    ("full of integers", lambda x: np.full(2, x[0], dtype=int), TypeError, "Leave out the dtype"),
+    ("like integers", lambda x: np.full_like([1, 2], x[0]), TypeError, "Leave out the dtype"),
+    ("like float32", lambda x: np.full_like(x, x[0], dtype=np.float32), TypeError, "Leave out the dtype"),
+    ("full of three", lambda x: np.full(3, x), ValueError, "broadcast"),
+    ("uint8 of conditions", lambda x: (x > 0).astype(np.uint8) - 1, TypeError, "not a uint8"),
+    ("int8 of a condition", lambda x: [(x[0] > 0).astype("i1") * 2, x[1]], TypeError, "not a int8"),
+    ("small integers", lambda x: ((x > 0) - np.uint8(200)) * x, TypeError, "constants in uint8; make"),
+    ("small choices", lambda x: np.where(x > 0, np.int8(100), np.int8(1)) * x, TypeError, "constants in int8"),
+    ("joined small integers", lambda x: np.array([x[0] > 0, np.uint8(9)]) - 1, TypeError, "constants in uint8"),
+    ("joined float32", lambda x: np.append(x[:1] > 0, np.float32(0.1)), TypeError, "constants in float32"),
+    ("float16", lambda x: np.exp(x > 0) * x, TypeError, r"np\.exp of conditions in float16; multiply"),
+    ("int8 of squares", lambda x: np.square(x[0] > 0) * x, TypeError, r"np\.square of conditions in int8"),
+    ("product of conditions", lambda x: (x > 0) @ (x < 1) * x, TypeError, "sum of products of conditions"),
+    ("array of nothing", lambda x: np.array(dtype=float) + x, TypeError, "missing|required"),
     ("if", branch, TypeError, r"np\.where"),
     ("if statement", branch_statement, TypeError, r"np\.where\(condition"),
     ("if of an infinite bound", nearest, TypeError, "in place of `if`"),
@@ -484,6 +519,33 @@ def test_numbers_of_the_rate_are_refused_in_the_cost():
 
     with pytest.raises(RuntimeError, match="of another call"):
         opened(rate, running_cost=lambda x: STORED["x"] ** 2)
+
+
+def test_conditions_of_the_rate_are_refused_in_the_end():
+    def rate(x):
+        STORED["low"] = x[0] < 1.0
+        return x
+
+    with pytest.raises(RuntimeError, match="of another call"):
+        opened(rate, end=lambda x: STORED["low"])
+
+
+@pytest.mark.parametrize("period", [2, 3])
+def test_a_variable_of_two_functions_is_noticed(period):
+    def counted(x):
+        STORED["calls"] = STORED.get("calls", 0) + 1
+        return x * (1.0 + STORED["calls"] % period)
+
+    with pytest.raises(ValueError, match="must not draw random numbers, count its calls"):
+        opened(counted, observe=counted)
+
+
+def test_functions_of_scipy_are_told_from_those_of_numpy():
+    special = pytest.importorskip("scipy.special", reason="SciPy is not installed")
+    with pytest.raises(TypeError, match=r"`log1p` of another package .*; write np\.log1p"):
+        opened(lambda x: special.log1p(x))
+    with pytest.raises(TypeError, match=r"`expit` of another package .*; write it with functions of NumPy"):
+        opened(lambda x: special.expit(x))
 
 
 def test_distributions_check_their_numbers():
