@@ -10,7 +10,7 @@ use std::borrow::Cow;
 use std::path::Path;
 
 /// Name and text of every file in `presets/`.
-const PRESETS: [(&str, &str); 40] = [
+const PRESETS: [(&str, &str); 42] = [
     ("cart_pole", include_str!("presets/cart_pole.toml")),
     ("cart_pole_1", include_str!("presets/cart_pole_1.toml")),
     ("cart_pole_2", include_str!("presets/cart_pole_2.toml")),
@@ -43,10 +43,12 @@ const PRESETS: [(&str, &str); 40] = [
     ("half_cheetah_run", include_str!("presets/half_cheetah_run.toml")),
     ("hopper", include_str!("presets/hopper.toml")),
     ("hopper_run", include_str!("presets/hopper_run.toml")),
+    ("hopper_shac", include_str!("presets/hopper_shac.toml")),
     ("walker2d", include_str!("presets/walker2d.toml")),
     ("walker2d_run", include_str!("presets/walker2d_run.toml")),
     ("ant", include_str!("presets/ant.toml")),
     ("ant_run", include_str!("presets/ant_run.toml")),
+    ("ant_shac", include_str!("presets/ant_shac.toml")),
     ("arm", include_str!("presets/arm.toml")),
     ("swimmer", include_str!("presets/swimmer.toml")),
     ("reacher", include_str!("presets/reacher.toml")),
