@@ -288,7 +288,7 @@ def test_ids_need_no_import_with_the_name_of_the_module():
 
 
 @pytest.mark.parametrize("context", ["spawn", "fork"])
-@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+@pytest.mark.filterwarnings("ignore:.*fork")
 def test_environments_in_processes_of_gymnasium_are_those_of_one_process(context):
     if context not in multiprocessing.get_all_start_methods():
         pytest.skip(f"the system has no {context}")
