@@ -36,7 +36,7 @@ pub struct Record {
     /// Error of the value function before it learned from a window: root of the mean square over the
     /// visited states and the windows, in the unit of the costs.
     pub value_error: Option<f64>,
-    /// Part of the variance of its targets that the value function explained, mean over the windows.
+    /// Part of the variance of its targets within windows that the value function explained.
     pub explained: Option<f64>,
     /// Number of updates skipped because of a [`Divergence`].
     pub skipped: usize,
